@@ -268,7 +268,7 @@ def test_a_file_that_cannot_be_drawn_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"none\.spz: cannot be read"):
         Renderer(replace(scene(), splats=spec))
     inside = _file(tmp_path, _red((1.0, 0.0, 0.0)))
-    with pytest.raises(SceneError, match="outside the folders that are allowed: /nowhere"):
+    with pytest.raises(SceneError, match="outside the allowed folders: /nowhere"):
         Renderer(replace(scene(), splats=inside), allowed_roots=[Path("/nowhere")])
 
 

@@ -569,6 +569,6 @@ def test_a_file_of_another_machine_that_is_not_here_is_named(rig: Rig, capfd: py
 
     def told() -> bool:
         said.append(capfd.readouterr().err)
-        return "/opt/other/scenes/gone/a.obj is a file of the physics node's machine" in "".join(said)
+        return "/opt/other/scenes/gone/a.obj is a file on the physics node's machine" in "".join(said)
 
     rig.spin_until(told, "an error")

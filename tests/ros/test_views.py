@@ -76,7 +76,7 @@ def test_views_stand_in_scene_and_state_and_on_tf_with_one_stamp(world: PhysicsW
 
 def test_a_robot_that_is_not_there_is_refused_with_those_that_are(world: PhysicsWorld) -> None:
     topics = WorldInterface(_Node(), PhysicsConfig(views="follow:middle"), None)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="nothing is called 'middle'; it can go with: left, right"):
+    with pytest.raises(ConfigError, match="there is no body 'middle'; it can follow: left, right"):
         topics.publish_scene(world)
 
 
@@ -94,4 +94,4 @@ def test_a_view_goes_and_comes_with_its_target(world: PhysicsWorld, caplog: pyte
     assert [len(tf.transforms) for tf in node.sent["/tf"]] == [2, 1, 2]
     for scene, state in zip(node.sent["scene"], node.sent["scene_state"], strict=True):
         assert (len(state.poses), state.revision) == (7 * len(scene.links), scene.revision)
-    assert caplog.text.count("nothing is called 'right'") == 1
+    assert caplog.text.count("there is no body 'right'") == 1

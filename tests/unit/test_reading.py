@@ -130,8 +130,8 @@ def test_texts_of_the_outermost_mapping_are_read_without_the_rest(text: bytes, f
         ('<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE a [<!ENTITY b "c">]><a/>'.encode("utf-16"), "XML entities"),
         (b'<!DOCTYPE a [<!ATTLIST b c CDATA "d">]><a><b/></a>', "defaults of attributes"),
         (b"<a " + b"b='' " * (MAX_XML_ATTRIBUTES + 1) + b"/>", f"must have at most {MAX_XML_ATTRIBUTES}"),
-        (b"<a><b></a>", "is no well-formed XML"),
-        (b'<?xml version="1.0" encoding="x"?><a/>', "is no well-formed XML"),
+        (b"<a><b></a>", "is not well-formed XML"),
+        (b'<?xml version="1.0" encoding="x"?><a/>', "is not well-formed XML"),
     ],
 )
 def test_xml_that_means_harm_is_refused(text: bytes, reason: str) -> None:
@@ -169,9 +169,9 @@ def test_only_regular_files_of_bounded_size_are_opened(tmp_path: Path) -> None:
     assert read_file(tmp_path / "file", 100) == b"x" * 100
     os.mkfifo(tmp_path / "pipe")
     for path, reason in (
-        (tmp_path / "pipe", "no regular file"),
-        (tmp_path, "no regular file"),
-        (Path("/dev/zero"), "no regular file"),
+        (tmp_path / "pipe", "not a regular file"),
+        (tmp_path, "not a regular file"),
+        (Path("/dev/zero"), "not a regular file"),
         (tmp_path / "a\0b", "no file can have this name"),
         (tmp_path / "\udc80\ud800", "no file can have this name"),
     ):
@@ -230,4 +230,4 @@ def test_messages_are_one_line_within_bounds_whatever_a_file_names() -> None:
     assert str(SceneError("/a  b/c: is missing")) == "/a  b/c: is missing"
     assert str(SceneError("a\n\x1b[31mb")) == "a \\x1b[31mb"
     assert len(str(SceneError("x" * 10**6))) < 4100
-    assert str(MeshError("a\nb").telling("c")) == "a b"
+    assert str(MeshError("a\nb").with_public("c")) == "a b"

@@ -17,7 +17,7 @@ def test_explicit_path_is_taken(tmp_path: Path) -> None:
 
 
 def test_missing_explicit_path_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SceneNotFoundError, match=r"there is nothing at .*room"):
+    with pytest.raises(SceneNotFoundError, match=r"room.* does not exist"):
         find_scene(tmp_path / "room")
 
 

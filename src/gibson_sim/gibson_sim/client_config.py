@@ -88,7 +88,7 @@ class RecordConfig:
         for topic in self.wanted_topics():
             if not _TOPIC.fullmatch(topic):
                 raise ConfigError(
-                    f"setting 'topics' has {quoted(topic)}, which is no topic name: use letters, digits, _ and /, no digit after a /"
+                    f"setting 'topics' has {quoted(topic)}, which is not a topic name: use letters, digits, _ and /, no digit after a /"
                 )
         if self.storage == "sqlite3" and self.compression != "none":
             raise ConfigError(f"setting 'compression' is {self.compression!r}, must be 'none' where 'storage' is 'sqlite3'")

@@ -1,7 +1,7 @@
 """The errors that this package raises on purpose.
 
     GibsonSimError                 the base class; its message is one line for a user
-      TextError                    a text is no YAML or no XML, or too large
+      TextError                    a text is neither YAML nor XML, or too large
       ConfigError                  a setting has an invalid value
         trials.scenario.load.ScenarioError  a scenario file has mistakes, or cannot be met
       SceneError                   a scene cannot be loaded
@@ -49,14 +49,14 @@ class GibsonSimError(Exception):
         text = str(message)
         super().__init__(text if len(text) <= _MAX_LENGTH and text.isprintable() else clipped(text, _MAX_LENGTH), *more)
 
-    def telling(self: _Error, public: str) -> _Error:
+    def with_public(self: _Error, public: str) -> _Error:
         """Sets ``public`` and returns the error itself."""
         self.public = public
         return self
 
 
 class TextError(GibsonSimError):
-    """A text is no YAML or no XML, or too large."""
+    """A text is neither YAML nor XML, or too large."""
 
 
 class ConfigError(GibsonSimError):

@@ -53,7 +53,7 @@ def reach_variables(environment: Mapping[str, str], requested: str | None = None
         requested: as for ``reach_of``.
 
     Raises:
-        ConfigError: ``requested`` is no reach, or the middleware of the environment does not support it.
+        ConfigError: ``requested`` is not a reach, or the middleware of the environment does not support it.
     """
     if requested is not None and requested not in REACHES:
         raise ConfigError(f"reach is {requested!r}, must be one of {', '.join(REACHES)}")

@@ -51,7 +51,7 @@ def read_file(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
     """Returns the content of a regular file of at most ``most`` bytes.
 
     Raises:
-        OSError: the path is no regular file, or it is too large or cannot be read; ``strerror`` says which.
+        OSError: the path is not a regular file, or it is too large or cannot be read; ``strerror`` says which.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
@@ -79,7 +79,7 @@ def read_head(path: Path, most: int) -> bytes:
     """Returns at most the first ``most`` bytes of a regular file of any size.
 
     Raises:
-        OSError: the path is no regular file, or cannot be read; ``strerror`` says which.
+        OSError: the path is not a regular file, or cannot be read; ``strerror`` says which.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
@@ -130,10 +130,10 @@ def check_status(status: os.stat_result, most: int) -> None:
     """Checks the status of a file before it is read.
 
     Raises:
-        OSError: it is no regular file, or has more than ``most`` bytes.
+        OSError: it is not a regular file, or has more than ``most`` bytes.
     """
     if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "is no regular file")
+        raise OSError(errno.EINVAL, "is not a regular file")
     if status.st_size > most:
         raise OSError(errno.EFBIG, _too_large(f"{status.st_size / _MEGA:.0f} MB", most))
 
@@ -156,11 +156,11 @@ def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
         loader: a loader of PyYAML, for more tags.
 
     Raises:
-        TextError: the text is no YAML, or too large; the message lacks the name of the file, which the caller adds.
+        TextError: the text is not YAML, or too large; the message lacks the name of the file, which the caller adds.
     """
     if len(text) > MAX_YAML_BYTES:
         reason = f"has {len(text) / _MEGA:.0f} MB of YAML, must have at most {MAX_YAML_BYTES // _MEGA} MB"
-        raise TextError(reason).telling(reason)
+        raise TextError(reason).with_public(reason)
     try:
         parser = loader(text)
     except (yaml.YAMLError, ValueError) as error:
@@ -168,7 +168,7 @@ def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
     try:
         node = _Composer(parser).document()
         return None if node is None else parser.construct_document(node)
-    # A date with month 13, a number of 5000 digits, bytes that are no text.
+    # A date with month 13, a number of 5000 digits, bytes that are not text.
     except (yaml.YAMLError, ValueError, OverflowError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise _no_yaml(error) from error
     finally:
@@ -186,7 +186,7 @@ def yaml_texts(text: bytes, keys: Collection[str], *, cut: bool = False) -> dict
         cut: whether the text may be cut off: at an error, the values before it are returned.
 
     Raises:
-        TextError: the text is no YAML up to where it was read.
+        TextError: the text is not YAML up to where it was read.
     """
     found: dict[str, str] = {}
     try:
@@ -232,38 +232,38 @@ def parse_xml(text: bytes) -> ElementTree.Element:
     """Returns the outermost element of an XML text.
 
     Raises:
-        TextError: the text is no XML, or too large; the message lacks the name of the file, which the caller adds.
+        TextError: the text is not XML, or too large; the message lacks the name of the file, which the caller adds.
     """
     if len(text) > MAX_TEXT_BYTES:
         reason = f"has {len(text) / _MEGA:.0f} MB of XML, must have at most {MAX_TEXT_BYTES // _MEGA} MB"
-        raise TextError(reason).telling(reason)
+        raise TextError(reason).with_public(reason)
     tags = text.count(b"<")
     if tags > MAX_XML_TAGS:
         reason = f"has about {tags} tags of XML, must have at most {MAX_XML_TAGS}; split it"
-        raise TextError(reason).telling(reason)
+        raise TextError(reason).with_public(reason)
     attributes = text.count(b"=")
     if attributes > MAX_XML_ATTRIBUTES:
         reason = f"has about {attributes} attributes of XML, must have at most {MAX_XML_ATTRIBUTES}; split it"
-        raise TextError(reason).telling(reason)
+        raise TextError(reason).with_public(reason)
     # Both let a few bytes expand to many: an entity at each reference, a default in every element without that attribute.
     plain = text.replace(b"\0", b"") if b"\0" in text[:4] else text
     for mark, what in ((b"<!ENTITY", "entities"), (b"<!ATTLIST", "defaults of attributes")):
         if mark in plain:
             reason = f"defines XML {what}, which are not read; write out what they stand for"
-            raise TextError(reason).telling(reason)
+            raise TextError(reason).with_public(reason)
     try:
         top = ElementTree.fromstring(text)
     # A ValueError or LookupError: a declared encoding that the text does not have.
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise TextError(f"is no well-formed XML: {clipped(str(error), _LONGEST_REASON)}").telling(
-            "is no well-formed XML"
+        raise TextError(f"is not well-formed XML: {clipped(str(error), _LONGEST_REASON)}").with_public(
+            "is not well-formed XML"
         ) from error
     level, depth = [top], 0
     while level:
         depth += 1
         if depth > MAX_XML_DEPTH:
             reason = f"has elements within elements over more than {MAX_XML_DEPTH} levels"
-            raise TextError(reason).telling(reason)
+            raise TextError(reason).with_public(reason)
         level = [child for element in level for child in element]
     return top
 
@@ -277,8 +277,8 @@ def _no_yaml(error: Exception) -> TextError:
     at = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
     reason = clipped(str(getattr(error, "problem", None) or error), _LONGEST_REASON)
     if isinstance(error, _TooMuchError):
-        return TextError(f"{at}{reason}").telling(reason)
-    return TextError(f"is not YAML: {at}{reason}").telling("is not YAML that can be read")
+        return TextError(f"{at}{reason}").with_public(reason)
+    return TextError(f"is not YAML: {at}{reason}").with_public("is not YAML that can be read")
 
 
 class _OpenCollection:

@@ -22,7 +22,7 @@ PACKAGE = "gibson_sim"
 PATH_VARIABLE = "GIBSON_SIM_PATH"
 _CONFIG_SUFFIXES = ("", ".yaml", ".yml", ".param.yaml")
 _OBJECTS = "objects"
-"""Folder beside the scenes that is no scene."""
+"""Folder beside the scenes that is not a scene."""
 
 
 def share_folders() -> tuple[Path, ...]:
@@ -34,7 +34,7 @@ def share_folders() -> tuple[Path, ...]:
     candidates += [p for p in Path(__file__).resolve().parents if is_folder(p / "config") and is_folder(p / "scenes")]
     found: list[Path] = []
     for folder in candidates:
-        # The Python package has a folder `scenes` too, but is no share folder.
+        # The Python package has a folder `scenes` too, but is not a share folder.
         if is_folder(folder) and not exists(folder / "__init__.py") and folder not in found:
             found.append(folder)
     return tuple(found)
@@ -64,7 +64,7 @@ def find_scene(name_or_path: str | Path) -> Path:
             ``$GIBSON_SIM_PATH`` may also hold scenes directly.
 
     Raises:
-        SceneNotFoundError: there is no such scene; the message names the searched folders and the most similar scene.
+        SceneNotFoundError: the scene does not exist; the message names the searched folders and the most similar scene.
     """
     return _find(name_or_path, _folders("scenes"), ("",), SceneNotFoundError, "scene")
 
@@ -77,7 +77,7 @@ def find_config(name_or_path: str | Path, kind: str = "") -> Path:
         kind: subfolder of ``config``, such as ``presets``; empty = ``config`` itself.
 
     Raises:
-        ConfigError: there is no such file; the message names the searched folders and the most similar file.
+        ConfigError: the file does not exist; the message names the searched folders and the most similar file.
     """
     folders = tuple(share / "config" / kind for share in share_folders())
     path = _find(
@@ -92,7 +92,7 @@ def find_robot(name_or_path: str | Path) -> Path:
     """Returns the folder or file of a robot: a path, or a name under ``robots/`` or ``config/robots/`` of a share folder.
 
     Raises:
-        RobotError: there is no such robot; the message names the searched folders and the most similar robot.
+        RobotError: the robot does not exist; the message names the searched folders and the most similar robot.
     """
     return _find(name_or_path, _robot_folders(), _CONFIG_SUFFIXES, RobotError, "robot")
 
@@ -154,7 +154,7 @@ def _find(
     if is_path:
         if exists(path):
             return real_path(path)
-        raise error(f"{what} {quoted(text)}: there is nothing at {path.resolve()}")
+        raise error(f"{what} {quoted(text)}: {path.resolve()} does not exist")
     for folder in folders:
         for suffix in suffixes or ("",):
             candidate = folder / (text + suffix)

@@ -249,7 +249,7 @@ class Simulation:
 
     @property
     def bodies(self) -> Mapping[str, Body]:
-        """All bodies that are no robots, such as doors and chairs, by name; ``command_joints`` moves their joints.
+        """All bodies other than robots, such as doors and chairs, by name; ``command_joints`` moves their joints.
 
         A name that is not there raises CommandError.
         """
@@ -389,7 +389,7 @@ class Simulation:
             robot: its name; None = the first one.
 
         Raises:
-            CommandError: a number is not finite, there is no such robot, or its drive cannot do that.
+            CommandError: a number is not finite, the robot does not exist, or its drive cannot do that.
         """
         self._check_open()
         name = self._robot_name(robot)
@@ -412,7 +412,7 @@ class Simulation:
             name: robot or body; None = the first robot.
 
         Raises:
-            CommandError: there is no such robot, body or joint, or the joint cannot move there.
+            CommandError: the robot, body or joint does not exist, or the goal is beyond the joint's limits.
         """
         self._check_open()
         name = name if name is not None else self._robot_name(None)
@@ -449,11 +449,11 @@ class Simulation:
 
         Args:
             name: robot or body.
-            position: of its root link, metres, world frame.
-            yaw: about the world's z axis, radians.
+            position: position of its root link, metres, world frame.
+            yaw: rotation about the world's z axis, radians.
 
         Raises:
-            PhysicsError: there is no robot or body of this name.
+            PhysicsError: no robot or body has this name.
         """
         self.world.set_state(name, _upright(position, yaw), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         self._inputs.append((self.world.step_count, "move", (name, tuple(position), yaw)))
@@ -462,7 +462,7 @@ class Simulation:
         """Removes a robot or a body from the scene.
 
         Raises:
-            PhysicsError: there is no robot or body of this name.
+            PhysicsError: no robot or body has this name.
         """
         self.world.remove(name)
         self._suites.pop(name, None)
@@ -494,7 +494,7 @@ class Simulation:
             robot: its name; None = the first one.
 
         Raises:
-            ConfigError: there is no such sensor, or it has not measured yet.
+            ConfigError: the sensor does not exist, or it has not measured yet.
         """
         name = self._robot_name(robot)
         found = self._readings.get((name, sensor))
@@ -558,7 +558,7 @@ class Simulation:
             ``stamp_ns`` is that of the state; ``T_world_camera`` (4, 4) takes the optical frame to the world.
 
         Raises:
-            ConfigError: there is no such camera or output, ``flow`` has no previous state, or holes cannot be filled.
+            ConfigError: the camera or output does not exist, ``flow`` has no previous state, or holes cannot be filled.
             RenderError: no EGL device can draw.
         """
         return self.render_all([camera], outputs, previous, fill=fill)[0]
@@ -588,7 +588,7 @@ class Simulation:
         the CPU.
 
         Raises:
-            ConfigError: PyTorch is not installed, or there is no such camera.
+            ConfigError: PyTorch is not installed, or the camera does not exist.
         """
         renderer, state, specs, before = self._render_arguments(cameras, outputs, previous, fill)
         return renderer.render_tensors(state, specs, before)

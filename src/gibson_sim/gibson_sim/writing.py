@@ -93,13 +93,13 @@ def cannot_write(path: str | Path | None, error: OSError | ValueError, needs: in
     what = f"cannot write {'the output' if path is None else path}"
     reason = (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
     if not (isinstance(error, OSError) and error.errno in FULL):
-        return WriteError(f"{what}: {reason}").telling("a file cannot be written")
+        return WriteError(f"{what}: {reason}").with_public("a file cannot be written")
     known = [f"needs {size_text(needs)} or more"] if needs else []
     free = None if path is None or error.errno == errno.EFBIG else _free(Path(path))
     if free is not None:
         known.append(f"free {size_text(free + spare)}")
     numbers = f" ({', '.join(known)})" if known else ""
-    return WriteError(f"{what}: {reason}{numbers}; make room, or give another place").telling("the disk is full")
+    return WriteError(f"{what}: {reason}{numbers}; make room, or give another place").with_public("the disk is full")
 
 
 def is_of_the_disk(error: OSError) -> bool:

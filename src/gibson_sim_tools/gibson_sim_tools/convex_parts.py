@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import MeshError
-from gibson_sim.scenes.collision.cache import default_folder, digest_of, kept_or_made
+from gibson_sim.scenes.collision.cache import default_folder, digest_of, get_or_create
 from gibson_sim.scenes.collision.simplified import mesh_files, write_meshes
 
 _log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ def convex_parts(
         return {"meshes": len(parts)}
 
     digest = digest_of(points, corners, "convex", _coacd() is not None, _FAITHFUL, _MOST_PARTS)
-    place, record = kept_or_made(folder or default_folder(), digest, make)
+    place, record = get_or_create(folder or default_folder(), digest, make)
     _log.info("%s collides as %s convex parts", name, record["meshes"])
     return tuple(mesh_files(place, record))
 

@@ -50,9 +50,9 @@ def test_followers_have_no_motor_and_their_positions_follow() -> None:
 @pytest.mark.parametrize(
     ("mimics", "words"),
     [
-        ((follow("j1"), follow("j0")), "in a circle"),
-        ((follow("j0"),), "in a circle"),
-        (("", follow("jx")), "'j1' mimics 'jx', which is no joint that moves; these do: j0, j1"),
+        ((follow("j1"), follow("j0")), "in a cycle"),
+        ((follow("j0"),), "in a cycle"),
+        (("", follow("jx")), "'j1' mimics 'jx', which is not a movable joint; movable joints: j0, j1"),
         (("", "<mimic/>"), "<mimic> names no joint"),
         (("", follow("j0", float("nan"))), "must be a finite number"),
     ],

@@ -19,9 +19,9 @@ def test_collision_shapes_are_drawn_where_all_visuals_are_missing() -> None:
     kinds, warnings = drawn(GONE + BOX)
     assert kinds == ["box"]
     assert warnings == (
-        "r.urdf: link 'a': visual: mesh gone.dae is not there; left out",
-        "r.urdf: link 'a': its collision shapes are drawn, since it has no other visual",
+        "r.urdf: link 'a': visual: mesh gone.dae does not exist; left out",
+        "r.urdf: link 'a': its collision shapes are drawn, since it has no usable visual",
     )
     assert drawn(GONE + BALL + BOX)[0] == ["sphere"]
     assert drawn(BOX) == ([], ()), "a link that is not drawn stays so"
-    assert drawn(GONE) == ([], ("r.urdf: link 'a': visual: mesh gone.dae is not there; left out",))
+    assert drawn(GONE) == ([], ("r.urdf: link 'a': visual: mesh gone.dae does not exist; left out",))

@@ -114,7 +114,7 @@ def test_missing_visual_mesh_is_left_out_with_a_warning(read: Read) -> None:
     [
         ("", "no <link>"),
         (TWO_LINKS, "2 root links (a, b)"),
-        ("".join(f'<link name="l{k}"/>' for k in range(900)), "900 root links (l0, l1, l2, l3, l4, l5, l6, l7, ...); join"),
+        ("".join(f'<link name="l{k}"/>' for k in range(900)), "900 root links (l0, l1, l2, l3, l4, l5, l6, l7, ...); connect"),
         (TWO_LINKS + joint() + joint("k", parent="b", child="a"), "cycle"),
         (
             '<link name="c"/>' + TWO_LINKS + joint() + joint("k", parent="b", child="a"),
@@ -124,7 +124,7 @@ def test_missing_visual_mesh_is_left_out_with_a_warning(read: Read) -> None:
         (TWO_LINKS + joint(child="x"), "link 'x'"),
         (TWO_LINKS + joint(kind="screw"), "'screw'"),
         (TWO_LINKS + joint() + '<link name="a"/>', "named 'a'"),
-        (TWO_LINKS + joint(kind="continuous", inside='<axis xyz="0 0 0"/>'), "no direction"),
+        (TWO_LINKS + joint(kind="continuous", inside='<axis xyz="0 0 0"/>'), "not a direction"),
         (link('<collision><geometry><sphere radius="-1"/></geometry></collision>'), "above 0"),
         (link('<inertial><mass value="heavy"/></inertial>'), "heavy"),
         (link('<collision><origin xyz="0 nan 0"/><geometry><sphere radius="1"/></geometry></collision>'), "finite"),
@@ -145,7 +145,7 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
 
 def test_broken_xml_is_refused(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text("<robot>")
-    with pytest.raises(RobotError, match="is no well-formed XML"):
+    with pytest.raises(RobotError, match="is not well-formed XML"):
         read_urdf(tmp_path / "r.urdf")
 
 

@@ -58,7 +58,7 @@ def test_a_plain_urdf_is_used_as_it_lies(root: Path) -> None:
 
 def test_without_the_package_a_xacro_is_refused_with_the_remedy(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(xacro, "find_spec", lambda name: None)
-    with pytest.raises(RobotError, match=r"r\.urdf\.xacro: is a xacro; install what expands it \(pip install xacro\)"):
+    with pytest.raises(RobotError, match=r"r\.urdf\.xacro: is a xacro; install the package xacro \(pip install xacro\)"):
         plain_description(package / "urdf/r.urdf.xacro", {})
 
 
@@ -70,7 +70,7 @@ def test_a_xacro_is_expanded_with_its_arguments_and_packages(package: Path) -> N
     assert [link.name for link in model.links] == ["base", "arm"]
     assert model.link("base").collisions[0].shape.size == (0.5, 0.1, 0.6)
     assert [visual.shape.mesh for visual in model.link("base").visuals] == [str(package / "meshes/a.stl")]
-    assert model.warnings == ("r.urdf: link 'base': visual: mesh package://my_robot/meshes/gone.stl is not there; left out",)
+    assert model.warnings == ("r.urdf: link 'base': visual: mesh package://my_robot/meshes/gone.stl does not exist; left out",)
     assert robot.urdf == plain_description(package / "urdf/r.urdf.xacro", {"wide": "0.5"})
 
 
@@ -78,7 +78,7 @@ def test_a_xacro_is_expanded_with_its_arguments_and_packages(package: Path) -> N
 def test_what_xacro_refuses_is_said_in_one_line(package: Path) -> None:
     path = package / "urdf/r.urdf.xacro"
     path.write_text(XACRO.replace("2 * 0.3", "nothing"))
-    with pytest.raises(RobotError, match="xacro refuses it: name 'nothing' is not defined") as error:
+    with pytest.raises(RobotError, match="xacro rejects it: name 'nothing' is not defined") as error:
         plain_description(path, {})
     assert "\n" not in str(error.value)
 
@@ -95,7 +95,7 @@ def test_xacro_that_never_ends_or_wants_all_memory_is_refused(
     monkeypatch.syspath_prepend(str(tmp_path))
     path = tmp_path / "r.xacro"
     path.write_text(f'<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="{value}"/></robot>')
-    with pytest.raises(RobotError, match=r"r\.xacro: xacro (was not done after|refuses it)"):
+    with pytest.raises(RobotError, match=r"r\.xacro: xacro (did not finish within|rejects it)"):
         plain_description(path, {})
 
 
@@ -131,7 +131,7 @@ def test_what_only_looks_like_a_xacro_is_none_and_costs_no_time() -> None:
 def test_arguments_of_what_is_no_xacro_are_refused(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text('<robot name="r"><link name="a"/></robot>')
     (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nradius: 1\nheight: 1\nxacro_args: {a: 1}\n")
-    with pytest.raises(RobotError, match="xacro_args are given, but this is no xacro"):
+    with pytest.raises(RobotError, match="xacro_args are given, but this is not a xacro"):
         load_robot(tmp_path)
     (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nxacro_args: {a: [1]}\n")
     with pytest.raises(RobotError, match="must be a text, a number, true or false"):
@@ -257,7 +257,7 @@ def test_a_package_that_is_nowhere_is_named_with_the_folders_and_the_remedy(tmp_
         plain_description(top / "urdf/r.urdf.xacro", {})
     said = str(caught.value)
     assert "package 'gone_description' is not found: looked in " in said and f"{tmp_path}" in said
-    assert said.endswith("without it xacro refuses it: unknown macro name: xacro:gone_arm") and "\n" not in said
+    assert said.endswith("without it xacro rejects it: unknown macro name: xacro:gone_arm") and "\n" not in said
     assert "source the workspace that has it" in said and "$AMENT_PREFIX_PATH (" in said
 
 
@@ -275,7 +275,7 @@ def test_what_a_robot_does_not_need_may_be_missing(tmp_path: Path, caplog: pytes
     lines = [record.getMessage() for record in caplog.records]
     assert len(lines) == 2, "one line for the packages and one for the file, once"
     assert lines[0].startswith("r.urdf.xacro: packages 'lidar_is_gone', 'gazebo_is_gone' are not found: looked in ")
-    assert lines[1].startswith(f"r.urdf.xacro: included file {top}/urdf/nowhere.xacro is not there")
+    assert lines[1].startswith(f"r.urdf.xacro: included file {top}/urdf/nowhere.xacro does not exist")
 
 
 @pytest.mark.usefixtures("needs_xacro")
@@ -300,7 +300,7 @@ def test_runs_at_the_same_time_share_the_cache(package: Path) -> None:
     ("text", "said"),
     [
         ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="wheel"><link name="a"/></xacro:macro></robot>',
-         "expands to no <link>; if it has macros alone, give the xacro that calls them"),
+         "expands to no <link>; if it only defines macros, give the xacro that calls them"),
         ('<sdf version="1.7" xmlns:xacro="http://www.ros.org/wiki/xacro"><model name="m"><link name="a"/></model></sdf>',
          "expands to an SDF model, which is spawned as a body"),
     ],

@@ -59,5 +59,5 @@ def test_jpeg_of_fill_bytes_takes_no_time() -> None:
 
 def test_pipe_in_place_of_an_image_of_a_scan_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "frame.png")
-    with pytest.raises(ScanError, match="is no regular file"):
+    with pytest.raises(ScanError, match="is not a regular file"):
         read_image(tmp_path / "frame.png", cv2.IMREAD_COLOR)

@@ -105,7 +105,7 @@ def test_a_number_that_its_type_does_not_hold_is_refused(tmp_path: Path, value: 
 
 
 @pytest.mark.parametrize(
-    ("rows", "message"), [("1 abc", "x has something that is no number"), ("many 1", "the length of 'x' is 'many', no whole")]
+    ("rows", "message"), [("1 abc", "x has a value that is not a number"), ("many 1", "the length of 'x' is 'many', not a whole")]
 )
 def test_a_word_that_is_no_number_is_refused_in_one_line(rows: str, message: str) -> None:
     text = f"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nend_header\n{rows}\n"

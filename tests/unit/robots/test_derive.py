@@ -195,7 +195,7 @@ def test_what_is_guessed_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixtur
             "x must be forward",
         ),
         (wheel("a", "0.1 0.2 0"), "mirror each other"),
-        (pair(0.1, shape="gone"), r"have no shape that can be read.*mesh gone\.obj is not there"),
+        (pair(0.1, shape="gone"), r"have no shape that can be read.*mesh gone\.obj does not exist"),
         (steered(0.2), "no drive fits"),
         (pair(0.3) + steered(0.2), "steered in front"),
         (pair(0.1, z=0.3), "lower than the wheels"),

@@ -243,6 +243,6 @@ def test_a_robot_whose_meshes_are_all_missing_says_so(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="base"><collision>{mesh}</collision></link></robot>')
     (tmp_path / "robot.yaml").write_text("urdf: r.urdf\n")
     with pytest.raises(
-        RobotError, match=r"nothing is left to measure: r.urdf: link 'base': collision: mesh package://nowhere/x.stl is not"
+        RobotError, match=r"nothing is left to measure: r.urdf: link 'base': collision: mesh package://nowhere/x.stl does not"
     ):
         load_robot(tmp_path)

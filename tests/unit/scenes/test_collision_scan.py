@@ -155,7 +155,7 @@ def test_scene_asks_for_it_in_a_word(simple: SimplifiedScan, tmp_path: Path, mon
 
 
 def test_primitive_cannot_be_simplified(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="collision is simplified, which is for meshes"):
+    with pytest.raises(SceneError, match="collision simplified is for meshes"):
         load_scene(_scene(tmp_path, "{name: crate, box: [1, 1, 1], collision: simplified}"))
 
 

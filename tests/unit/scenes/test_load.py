@@ -53,7 +53,7 @@ def test_bare_mesh_is_drawn_and_collides(tmp_path: Path) -> None:
 
 def test_other_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(SceneNotFoundError, match=r"notes\.txt: is no scene"):
+    with pytest.raises(SceneNotFoundError, match=r"notes\.txt: is not a scene"):
         load_scene(tmp_path / "notes.txt")
 
 

@@ -113,7 +113,7 @@ def test_scale_makes_a_body_larger_at_the_same_density() -> None:
         ("{model: models/cabinet.urdf, joints: {hing: 1}}", ["'hing'", "did you mean 'hinge'"]),
         ("{model: models/cabinet.urdf, joints: {hinge: 91}}", ["body 'cabinet'", "hinge is 91", "0 to 90"]),
         ("{model: models/cabinet.urdf, joints: {slide: -0.1}}", ["slide is -0.1", "0 to 0.3"]),
-        ("{model: models/cabinet.glb, joints: {slide: 1}}", ["none that moves"]),
+        ("{model: models/cabinet.glb, joints: {slide: 1}}", ["no movable joints"]),
         ("{model: models/cabinet.urdf, scale: 0}", ["scale is 0", "0.01 to 100"]),
         ("{model: models/cabinet.urdf, name: a/b}", ["'a/b'", "letters"]),
         ("{model: models/none.urdf}", ["none.urdf"]),

@@ -57,8 +57,11 @@ def test_a_scene_tells_which_room_a_place_lies_in(tmp_path: Path) -> None:
         ("{name: a, class: b}", "polygon has 0 corners, must have 3 to 1000"),
         ("{name: a, class: b, polygon: [[0, 0], [1, 0], [1, .nan]]}", r"polygon\[2\].*must be a finite number"),
         ("{name: a, class: b, polygon: [[0, 0], [1, 0], 1]}", r"polygon\[2\].*must be a list of 2 numbers"),
-        ("{name: a, class: b, polygon: [[0, 0], [1, 0], [2, 0]]}", "encloses 0 m"),
-        ("{name: a, class: b, polygon: [[0, 0], [3, 2], [3, 0], [0, 1]]}", "edge between corners 0 and 1 .* meets .* 2 and 3"),
+        ("{name: a, class: b, polygon: [[0, 0], [1, 0], [2, 0]]}", "area of 0 m"),
+        (
+            "{name: a, class: b, polygon: [[0, 0], [3, 2], [3, 0], [0, 1]]}",
+            "edge between corners 0 and 1 .* intersects .* 2 and 3",
+        ),
         ("{name: a, class: b, floor: 1, polygon: [[0, 0], [1, 0], [1, 1]]}", "floor is 1, must be 0, the scene has one floor"),
         ("{name: a, class: b, floor: true, polygon: [[0, 0], [1, 0], [1, 1]]}", "floor is True"),
         (f"{KITCHEN}, {KITCHEN}", "'kitchen' is used twice"),

@@ -49,9 +49,9 @@ def test_other_splats_make_another_scene(tmp_path: Path) -> None:
     ("visual", "message"),
     [
         ("{splat: room.ply}", "did you mean 'splats'"),
-        ("{scale: 2}", "has no splats; give the name of a PLY or SPZ file"),
+        ("{scale: 2}", "has no key splats; give the name of a PLY or SPZ file"),
         ("{splats: none.ply}", r"none\.ply: cannot be read: No such file"),
-        ("{splats: photo.jpg}", r"photo\.jpg: is no file of splats; known are"),
+        ("{splats: photo.jpg}", r"photo\.jpg: is not a file of splats; known are"),
         ("{splats: ../../etc/passwd}", "lies outside the scene's folder"),
         ("{splats: room.ply, scale: 0}", "scale"),
         ("{splats: room.ply, up_axis: w}", "up_axis is .*must be x, y or z"),

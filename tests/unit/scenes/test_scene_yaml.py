@@ -160,7 +160,7 @@ def test_wrong_value_is_refused_in_one_line(tmp_path: Path, text: str, said: str
 
 
 def test_scene_with_nothing_in_it_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="nothing in it"):
+    with pytest.raises(SceneError, match="no visuals, collision shapes or ground plane"):
         _load(tmp_path, "name: void\n")
 
 

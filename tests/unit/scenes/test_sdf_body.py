@@ -196,7 +196,7 @@ def test_root_is_where_the_frame_of_the_model_is(tmp_path: Path) -> None:
 def test_links_that_no_joint_holds_are_fixed_with_a_warning(tmp_path: Path) -> None:
     model = _read(tmp_path, TWO).model
     assert [(joint.kind, joint.child) for joint in model.joints] == [("fixed", "b")]
-    assert any("no joint holds b" in warning for warning in model.warnings)
+    assert any("no joint connects b" in warning for warning in model.warnings)
 
 
 def test_joint_that_closes_a_loop_is_left_out_with_a_warning(tmp_path: Path) -> None:

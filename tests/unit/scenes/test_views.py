@@ -119,12 +119,12 @@ def test_a_view_may_go_with_a_single_link() -> None:
 def test_a_view_whose_target_is_gone_is_left_out_and_says_why() -> None:
     views = _views("follow:right,top", _scene(links=("left/base",)))
     assert [camera.name for camera in views.cameras] == ["view_top"]
-    assert views.absent == {"view_follow_right": "view 'view_follow_right': nothing is called 'right'; it can go with: left"}
+    assert views.absent == {"view_follow_right": "view 'view_follow_right': there is no body 'right'; it can follow: left"}
 
 
 def test_a_view_does_not_take_the_name_of_a_camera() -> None:
     assert (
-        "has a camera of this name already"
+        "already has a camera of this name"
         in _views("follow", _scene(CameraSpec("view_follow", "left/base"))).absent["view_follow"]
     )
 
@@ -134,7 +134,7 @@ def test_a_view_does_not_take_the_name_of_a_camera() -> None:
     [
         ("fly", "view 'fly' is not known; give follow, orbit, top"),
         ("follow:", "view 'follow:' is not known"),
-        ("top,top", "names must differ"),
+        ("top,top", "names must be unique"),
         ("nowhere.yaml", "cannot be read"),
     ],
 )
@@ -155,7 +155,7 @@ def test_a_file_says_all_of_a_view(tmp_path: Path) -> None:
     behind, around, still, plan = read_views(str(path), (320, 240), 7.0)
     assert behind.motion == Follow("left", distance=3.0, yaw=math.pi / 2)
     assert (behind.camera.width, behind.camera.height, behind.camera.rate_hz) == (64, 240, 5.0)
-    assert (behind.camera.near, behind.own_near, behind.camera.outputs) == (0.2, True, ("depth",))
+    assert (behind.camera.near, behind.near_requested, behind.camera.outputs) == (0.2, True, ("depth",))
     assert around.motion == Orbit("", center=(1.0, 2.0, 0.0)) and around.camera.outputs == ("rgb",)
     pose = still.motion.resolve(still.camera, lambda: FLOOR)[0].camera_pose(Pose(), 0)
     assert pose.position == (1.0, 2.0, 3.0) and matrix_from_pose(pose)[:3, 2] == pytest.approx((1.0, 0.0, 0.0))
@@ -169,9 +169,9 @@ def test_a_file_says_all_of_a_view(tmp_path: Path) -> None:
         ("view: {kind: fly}", "kind is 'fly', must be one of follow, orbit, top"),
         ("view: {kind: orbit, period: 0}", "period is 0 s, must be 0.1"),
         ("view: {kind: orbit, target: left, center: [0, 0, 0]}", "give one of the two"),
-        ("view: {kind: top, center: [0, 0, 0]}", "center has 3 numbers, that of a view 'top' has 2"),
+        ("view: {kind: top, center: [0, 0, 0]}", "center has 3 numbers, must have 2 for kind 'top'"),
         ("view: {kind: follow, distance: 0}", "distance is 0 m"),
-        ("view: follow, link: left/base", "a view takes no link"),
+        ("view: follow, link: left/base", "a view has no link"),
         ("link: left/base", "a view has the key 'view', or link: map"),
         ("view: follow, width: 0", "image size is 0x480"),
     ],
@@ -192,7 +192,7 @@ def test_a_file_may_hold_cameras_on_links_and_views(tmp_path: Path) -> None:
 
 def test_a_fisheye_does_not_look_down_on_a_floor() -> None:
     camera = CameraSpec("eye", "eye", projection="fisheye")
-    with pytest.raises(ConfigError, match="a view from the top is pinhole, its projection is fisheye"):
+    with pytest.raises(ConfigError, match="a view from the top must be pinhole, its projection is fisheye"):
         Top().resolve(camera, lambda: FLOOR)
 
 

@@ -119,7 +119,7 @@ def test_splats_are_checked_to_the_last_number_before_a_world_counts_as_loaded(t
     for data, message in (
         (good[:-4], "do not fit into .* bytes; the file is cut"),
         (good[:-4] + b"\xff\xff\xff\xff", "the rotation of 1 of 3 splats is NaN"),
-        (b"\xff\xd8\xff", "is no file of splats"),
+        (b"\xff\xd8\xff", "is not a file of splats"),
     ):
         (tmp_path / "room.ply").write_bytes(data)
         error = _error(str(path))

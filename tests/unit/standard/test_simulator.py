@@ -382,7 +382,7 @@ def test_default_sources_that_fail_have_a_code_of_their_own(monkeypatch: pytest.
     def find(sources: tuple[str, ...], **_: object) -> tuple[WorldEntry, ...]:
         return (WorldEntry("there", sources[0]),)
 
-    monkeypatch.setattr(catalogue, "own_worlds", gone)
+    monkeypatch.setattr(catalogue, "built_in_worlds", gone)
     monkeypatch.setattr(catalogue, "worlds_below", find)
     with pytest.raises(SimulationError) as error:
         catalogue.available_worlds((), TagsFilter(), continue_on_error=False)
@@ -404,13 +404,13 @@ def test_world_is_described_without_reading_others(monkeypatch: pytest.MonkeyPat
 
 def test_installed_things_are_listed_once_however_many_sources_there_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     listed = []
-    for module, name in ((worlds, "known_scenes"), (spawnables, "own_spawnables")):
+    for module, name in ((worlds, "known_scenes"), (spawnables, "built_in_spawnables")):
         original = getattr(module, name)
         monkeypatch.setattr(module, name, lambda f=original, n=name: listed.append(n) or f())
     sources = tuple(str(write_room(tmp_path / str(k))) for k in range(4))
     catalogue.available_worlds(sources, TagsFilter(), continue_on_error=False)
     catalogue.spawnables(sources)
-    assert sorted(listed) == ["known_scenes", "own_spawnables"]
+    assert sorted(listed) == ["known_scenes", "built_in_spawnables"]
 
 
 def test_spawnables_name_the_sources_that_are_none_and_go_on(tmp_path: Path) -> None:

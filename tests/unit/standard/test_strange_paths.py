@@ -89,6 +89,6 @@ def test_folders_of_one_request_count_together(tmp_path: Path, monkeypatch: pyte
     folders = tuple(str(tmp_path / f"{k}") for k in range(10))
     found, remark = catalogue.spawnables(folders)
     assert len([thing for thing in found if thing.uri.startswith("file:")]) == 45
-    assert "is left out: 50 files and folders were looked at" in remark
+    assert "is left out: 50 files and folders were searched" in remark
     with pytest.raises(GibsonSimError, match="is left out: 50 files"):
         catalogue.available_worlds(folders, TagsFilter(), continue_on_error=False)

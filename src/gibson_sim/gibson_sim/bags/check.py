@@ -225,7 +225,7 @@ def check_bag(folder: str | Path) -> BagReport:
         for partner in partners:
             if not (len(data.stamps[topic]) and len(data.stamps[partner])):
                 problems.append(
-                    f"{topic if len(data.stamps[partner]) else partner}: the index of the bag lists messages that are not there"
+                    f"{topic if len(data.stamps[partner]) else partner}: the index of the bag lists messages that do not exist"
                 )
             elif _compare(topic, partner, data, problems, notes):
                 compared["its camera_info" if partner.endswith("/camera_info") else "an odometry"] += 1

@@ -94,7 +94,7 @@ def _check_views(text: str) -> None:
 
 def _check_file(name: str) -> None:
     if not Path(os.path.expanduser(name)).is_file():
-        raise ConfigError(f"{name}: there is no such file")
+        raise ConfigError(f"{name}: the file does not exist")
 
 
 def _check_participants(text: str) -> None:

@@ -1,4 +1,4 @@
-"""``BodySpec``, any body that is no robot: a bottle, a chair, a cabinet with doors. Pure values."""
+"""``BodySpec``, a body other than a robot: a bottle, a chair, a cabinet with doors. Pure values."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from gibson_sim.types import Pose
 
 @dataclass(frozen=True, slots=True)
 class BodySpec:
-    """One link, or several with joints, that physics moves; the root of a static body stays in place."""
+    """A rigid or articulated body that physics moves; the root of a static body is fixed."""
 
     name: str
-    """Unique in the scene: its links are ``<name>/<link>``."""
+    """Name, unique in the scene: its links are ``<name>/<link>``."""
     model: UrdfModel
     """Shapes, masses and joints."""
     start: Pose = field(default_factory=Pose)
     """T_world_root at load and after a reset."""
     static: bool = False
-    """Whether only ``set_state`` moves its root."""
+    """Whether its root is fixed; ``set_state`` can still move it."""
     semantic_class: str = ""
-    """Class of all its visuals; empty = unlabelled."""
+    """Semantic class of all its visuals; empty = unlabelled."""
     joints: tuple[tuple[str, float], ...] = ()
-    """Names and positions of joints at load and after a reset, radians or metres; missing joints are at 0."""
+    """(Joint name, position) at load and after a reset, radians or metres; missing joints are at 0."""
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -33,12 +33,12 @@ class BodySpec:
 
     @property
     def visuals(self) -> tuple[VisualSpec, ...]:
-        """Its shapes to be drawn."""
+        """Its visuals."""
         return model_visuals(self.model, self.name, self.semantic_class)
 
 
 def model_visuals(model: UrdfModel, name: str, semantic_class: str = "") -> tuple[VisualSpec, ...]:
-    """Returns the visuals of a model whose body is called ``name``."""
+    """Returns the visuals of a model of a body named ``name``."""
     return tuple(
         VisualSpec(f"{name}/{link.name}/{i}", f"{name}/{link.name}", visual.shape, visual.pose, visual.color, semantic_class)
         for link in model.links

@@ -1,4 +1,4 @@
-"""Extents of a robot's shapes, by points on their surfaces. Pure; the caller provides a reader of mesh files."""
+"""Extents of a robot's shapes, computed from points on their surfaces. Pure; the caller provides a reader of mesh files."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from gibson_sim.errors import MeshError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, transform_points
 
 MeshPoints = Callable[[Path], NDArray[np.float64]]
-"""Returns the vertices of a mesh file, (N, 3), metres, in its own frame; raises MeshError."""
+"""Function that returns the vertices of a mesh file, (N, 3), metres, in its own frame; raises MeshError."""
 
 _CIRCLE = np.linspace(0.0, 2 * np.pi, 73)[:-1]
-"""Angles of the points on a circle, radians."""
+"""Angles of 72 points on a circle, radians."""
 
 
 def shape_points(shape: Shape, points: MeshPoints | None = None) -> NDArray[np.float64] | None:
-    """Returns points that span a shape, (N, 3), in its frame, metres; None = a mesh that cannot be read.
+    """Returns points that span a shape, (N, 3), in its frame, metres; None = the mesh cannot be read.
 
-    Exact along the axes of the shape: the corners of a box, circles of 72 points on spheres and on both ends of cylinders.
+    The points are exact along the axes of the shape: the corners of a box, circles of 72 points on spheres and on both ends of cylinders.
     """
     if shape.kind == "mesh":
         if points is None:
@@ -43,23 +43,23 @@ def shape_points(shape: Shape, points: MeshPoints | None = None) -> NDArray[np.f
 
 
 def reach(shape: Shape, T_root_shape: Mat4, points: MeshPoints | None = None) -> tuple[float, float] | None:
-    """Returns (greatest distance from the z axis, highest z), metres, exact except for the radius of tilted cylinders; None = unreadable mesh."""
+    """Returns (maximum distance from the z axis, maximum z), metres, exact except for the radius of tilted cylinders; None = unreadable mesh."""
     center, rotation = T_root_shape[:3, 3], T_root_shape[:3, :3]
     if shape.kind == "sphere":
         return float(np.hypot(center[0], center[1])) + shape.size[0], float(center[2]) + shape.size[0]
-    own = shape_points(shape, points)
-    if own is None:
+    local = shape_points(shape, points)
+    if local is None:
         return None
     if shape.kind == "cylinder":
-        # The farthest point of a cylinder off the axis lies in the direction of its centre.
+        # The farthest point of an off-axis cylinder is in the direction of its centre.
         angle = math.atan2(*(rotation.T @ center)[1::-1])
         ends = np.array([[math.cos(angle), math.sin(angle), h] for h in (-1, 1)]) * (
             shape.size[0],
             shape.size[0],
             shape.size[1] / 2,
         )
-        own = np.concatenate([own, ends])
-    world = own @ rotation.T + center
+        local = np.concatenate([local, ends])
+    world = local @ rotation.T + center
     return float(np.hypot(world[:, 0], world[:, 1]).max()), float(world[:, 2].max())
 
 
@@ -67,17 +67,17 @@ def link_points(
     shapes: Iterable[UrdfCollision | UrdfVisual], T_root_link: Mat4, points: MeshPoints | None = None
 ) -> NDArray[np.float64]:
     """Returns points that span the shapes of a link, (N, 3), in the root's frame, metres, without meshes that cannot be read."""
-    found = [np.zeros((0, 3))]
+    point_sets = [np.zeros((0, 3))]
     for item in shapes:
-        own = shape_points(item.shape, points)
-        if own is not None:
-            found.append(transform_points(T_root_link @ matrix_from_pose(item.pose), own))
-    return np.concatenate(found)
+        local = shape_points(item.shape, points)
+        if local is not None:
+            point_sets.append(transform_points(T_root_link @ matrix_from_pose(item.pose), local))
+    return np.concatenate(point_sets)
 
 
 def rigid_links(model: UrdfModel, name: str) -> list[str]:
-    """Returns a link and all links below it that fixed joints join to it."""
-    found = [name]
-    for link in found:
-        found += [joint.child for joint in model.joints if joint.kind == "fixed" and joint.parent == link]
-    return found
+    """Returns a link and its descendants that are connected to it by fixed joints only."""
+    names = [name]
+    for link in names:
+        names += [joint.child for joint in model.joints if joint.kind == "fixed" and joint.parent == link]
+    return names

@@ -1,4 +1,4 @@
-"""Finds the files that a robot's description names. Pure."""
+"""Resolves the mesh files that a robot's description names. Pure."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gibson_sim.reading import is_file
 PACKAGE_SCHEME = "package://"
 _FILE_SCHEME = "file://"
 _LEVELS_UP = 3
-"""Folders above that of a URDF in which relative names are looked up."""
+"""Maximum number of folders above that of a URDF in which relative names are looked up."""
 
 
 def resolve_mesh(name: str, urdf: Path) -> Path | None:
-    """Returns the absolute path of the mesh that a URDF names, or None if there is no such file.
+    """Returns the absolute path of the mesh that a URDF names, or None if the file does not exist.
 
     ``package://<package>/<rest>`` is looked up in the folders of ``package_folders``; other names are relative to the URDF's
     folder, or to one of the three above it.

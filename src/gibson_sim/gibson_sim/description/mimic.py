@@ -1,4 +1,4 @@
-"""Joints that follow others (``<mimic>`` in a URDF). Pure."""
+"""Mimic joints (``<mimic>`` in a URDF). Pure."""
 
 from __future__ import annotations
 
@@ -11,45 +11,47 @@ from gibson_sim.quoting import quoted
 
 @dataclass(frozen=True, slots=True)
 class Mimic:
-    """The position of a joint is ``multiplier`` times that of its leader, plus ``offset``."""
+    """A mimic joint: its position is ``multiplier`` times that of its leader, plus ``offset``."""
 
     leader: str
-    """A joint that follows none itself."""
+    """Name of the leader, which is not a mimic joint itself."""
     multiplier: float = 1.0
     offset: float = 0.0
-    """Radians or metres."""
+    """Offset, radians or metres."""
 
     def position(self, leader: float) -> float:
-        """Returns the position of the follower for that of its leader."""
+        """Returns the position of the mimic joint for the position of its leader."""
         return self.multiplier * leader + self.offset
 
 
 def leaders(mimics: Mapping[str, Mimic], moving: Collection[str], where: str) -> dict[str, Mimic]:
-    """Returns each mimic joint with the joint at the end of its chain of leaders.
+    """Resolves chains of mimic joints: returns each mimic joint with the last joint of its chain as leader.
 
     Args:
-        mimics: Mimic joint -> the leader that the file gives, which may itself be a mimic joint.
-        moving: All joints that move.
+        mimics: Mimic joint -> its leader in the file, which may itself be a mimic joint.
+        moving: All movable joints.
         where: The file, for messages.
 
     Raises:
-        RobotError: a leader is missing or does not move, or joints follow each other in a circle.
+        RobotError: a leader does not exist or is fixed, or the chain is a cycle.
     """
-    out = {}
+    resolved = {}
     for name, mimic in mimics.items():
-        passed = [name]
+        chain = [name]
         while True:
             if mimic.leader not in moving:
                 raise RobotError(
-                    f"{where}: joint {quoted(passed[-1])} mimics {quoted(mimic.leader)}, which is no joint that moves; "
-                    f"these do: {', '.join(moving) or 'none'}"
+                    f"{where}: joint {quoted(chain[-1])} mimics {quoted(mimic.leader)}, which is not a movable joint; "
+                    f"movable joints: {', '.join(moving) or 'none'}"
                 )
-            if mimic.leader in passed:
-                raise RobotError(f"{where}: joints {', '.join(map(repr, passed))} mimic each other in a circle; one must lead")
-            above = mimics.get(mimic.leader)
-            if above is None:
+            if mimic.leader in chain:
+                raise RobotError(
+                    f"{where}: joints {', '.join(map(repr, chain))} mimic each other in a cycle; one of them must not"
+                )
+            next_mimic = mimics.get(mimic.leader)
+            if next_mimic is None:
                 break
-            passed.append(mimic.leader)
-            mimic = Mimic(above.leader, mimic.multiplier * above.multiplier, mimic.position(above.offset))
-        out[name] = mimic
-    return out
+            chain.append(mimic.leader)
+            mimic = Mimic(next_mimic.leader, mimic.multiplier * next_mimic.multiplier, mimic.position(next_mimic.offset))
+        resolved[name] = mimic
+    return resolved

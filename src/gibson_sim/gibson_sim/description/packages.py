@@ -1,4 +1,4 @@
-"""Finds ROS packages by name, without ROS: for ``$(find <package>)`` and ``package://<package>``. Imports nothing of the package but ``reading``."""
+"""Finds ROS packages by name, without ROS: for ``$(find <package>)`` and ``package://<package>``. Imports only ``reading`` of this package."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from pathlib import Path
 from gibson_sim.reading import is_file, read_file
 
 MANIFEST = "package.xml"
-"""File that makes a folder a ROS package."""
+"""Manifest of a ROS package."""
 _WORKSPACE_SOURCES = "src"
 """Folder of the repositories in a colcon workspace."""
 _LEVELS_UP = 3
-"""Folders above the package of a file that are searched."""
+"""Number of folders above the package of a file that are searched."""
 _LEVELS_DOWN = 4
-"""Levels of folders below each of those that are searched."""
+"""Depth to which each of these folders is searched."""
 _MAX_FOLDERS = 4000
-"""Folders that a search opens at most."""
+"""Maximum number of folders that a search opens."""
 _SKIPPED = frozenset({"build", "log", "install", "node_modules", "__pycache__", "site-packages"})
-"""Folders that hold no sources of packages."""
+"""Names of folders that are not searched."""
 _NAME = re.compile(rb"<name>\s*([\w-]+)\s*</name>")
 _MAX_MANIFEST = 65536
-"""Largest manifest that is read, bytes."""
+"""Maximum size of a manifest, bytes."""
 
 
 def package_folders(package: str, beside: Path) -> Iterator[Path]:
-    """Yields possible folders of a package, the likeliest first; they need not exist.
+    """Yields candidate folders of a package, the most likely first; they need not exist.
 
-    They are beside the file that names it and in the folders above it; in the repositories of the file's colcon workspace
-    (``src/<repository>/<package>``); in ``$AMENT_PREFIX_PATH``; an installed Python package of that name; and last, packages of that name below the
-    folders of ``searched_folders``, in whatever repository.
+    These are: folders of that name beside the referencing file and beside its parent folders; in the repositories of the file's colcon workspace
+    (``src/<repository>/<package>``); in ``$AMENT_PREFIX_PATH``; an installed Python package of that name; and packages of that name anywhere below
+    the folders of ``searched_folders``.
     """
     for folder in beside.parents:
         if folder.name == package:
@@ -48,10 +48,10 @@ def package_folders(package: str, beside: Path) -> Iterator[Path]:
             yield Path(prefix) / "share" / package
     if package.isidentifier():
         try:
-            found = importlib.util.find_spec(package)  # imports nothing, for a name without dots
+            spec = importlib.util.find_spec(package)  # imports nothing, for a name without dots
         except ValueError:  # __main__
-            found = None
-        yield from map(Path, (found.submodule_search_locations or ()) if found is not None else ())
+            spec = None
+        yield from map(Path, (spec.submodule_search_locations or ()) if spec is not None else ())
     for folder in searched_folders(beside):
         yield from _packages_below(folder, _changed_ns(folder)).get(package, ())
 
@@ -59,27 +59,27 @@ def package_folders(package: str, beside: Path) -> Iterator[Path]:
 def searched_folders(beside: Path) -> tuple[Path, ...]:
     """Returns the folders whose sub-folders are searched for packages, the nearest first: up to three above the package of a file.
 
-    The root of the file system, the home folder and that of temporary files are not searched, nor is what is above the ``src`` of a workspace.
+    Excludes the root of the file system, the home folder, the folder of temporary files, and folders above the ``src`` of a workspace.
     """
-    own = next((folder for folder in beside.parents if is_file(folder / MANIFEST)), None)
-    above = list(beside.parents if own is None else own.parents)
+    package = next((folder for folder in beside.parents if is_file(folder / MANIFEST)), None)
+    above = list(beside.parents if package is None else package.parents)
     limits = {Path(above[-1]), Path.home(), Path(tempfile.gettempdir())}
-    found: list[Path] = []
+    folders: list[Path] = []
     for folder in above[:_LEVELS_UP]:
         if folder in limits:
             break
-        found.append(folder)
+        folders.append(folder)
         if folder.name == _WORKSPACE_SOURCES:
             break
-    return tuple(found)
+    return tuple(folders)
 
 
-def where_looked(beside: Path) -> str:
-    """Returns where packages that the file ``beside`` names are looked for, as a part of a message, and what to do."""
-    places = [str(folder) for folder in searched_folders(beside)] or [str(beside.parent)]
+def searched_places(beside: Path) -> str:
+    """Returns the places that are searched for packages named by the file ``beside``, and a remedy, as a part of a message."""
+    folders = [str(folder) for folder in searched_folders(beside)] or [str(beside.parent)]
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
     return (
-        f"{', '.join(places)} ({_LEVELS_DOWN} levels of folders below each), "
+        f"{', '.join(folders)} ({_LEVELS_DOWN} levels of folders below each), "
         f"$AMENT_PREFIX_PATH ({prefixes or 'not set'}) and the Python packages; put it beside the package of {beside.name}, or source the "
         "workspace that has it"
     )
@@ -87,37 +87,37 @@ def where_looked(beside: Path) -> str:
 
 @lru_cache(maxsize=64)
 def _packages_below(top: Path, changed_ns: int) -> dict[str, tuple[Path, ...]]:
-    """Returns the packages below a folder by their names, the nearest first; ``changed_ns`` only tells states of the folder apart.
+    """Returns name -> packages below a folder, the nearest first; ``changed_ns``: time of change of the folder, a key of the cache only.
 
-    A folder without a manifest counts as a package of its own name, after those that have one.
+    A folder without a manifest counts as a package with the name of the folder, after those with a manifest.
     """
     named: dict[str, list[Path]] = {}
     unnamed: dict[str, list[Path]] = {}
-    waiting = deque([(top, 0)])
+    queue = deque([(top, 0)])
     opened = 0
-    while waiting and opened < _MAX_FOLDERS:
-        folder, depth = waiting.popleft()
+    while queue and opened < _MAX_FOLDERS:
+        folder, depth = queue.popleft()
         opened += 1
-        for inside in _entries(folder):
-            if inside.name.startswith(".") or inside.name in _SKIPPED or not inside.is_dir():
+        for child in _entries(folder):
+            if child.name.startswith(".") or child.name in _SKIPPED or not child.is_dir():
                 continue
-            name = _manifest_name(inside / MANIFEST)
+            name = _manifest_name(child / MANIFEST)
             if name:
-                named.setdefault(name, []).append(inside)
+                named.setdefault(name, []).append(child)
                 continue  # packages do not contain packages
-            unnamed.setdefault(inside.name, []).append(inside)
+            unnamed.setdefault(child.name, []).append(child)
             if depth + 1 < _LEVELS_DOWN:
-                waiting.append((inside, depth + 1))
+                queue.append((child, depth + 1))
     return {name: (*named.get(name, ()), *unnamed.get(name, ())) for name in {*named, *unnamed}}
 
 
 def _manifest_name(path: Path) -> str:
-    """Returns the name in a ``package.xml``; empty = there is none."""
+    """Returns the name in a ``package.xml``; empty = no name or no file."""
     try:
-        found = _NAME.search(read_file(path, _MAX_MANIFEST))
+        match = _NAME.search(read_file(path, _MAX_MANIFEST))
     except OSError:
         return ""
-    return found[1].decode() if found else ""
+    return match[1].decode() if match else ""
 
 
 def _changed_ns(folder: Path) -> int:

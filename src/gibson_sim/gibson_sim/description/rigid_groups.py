@@ -1,7 +1,7 @@
-"""Joins links that fixed joints hold together into rigid groups, and writes the small URDF that a physics engine needs. Pure.
+"""Merges links that are connected by fixed joints into rigid groups, and writes the reduced URDF for a physics engine. Pure.
 
-Bullet gives links without an ``<inertial>`` a mass of 1 kg, and makes a massless root immovable. A group has the sum of the masses of its links, so
-frames without mass (``base_footprint``, ``camera_link``) cost nothing and disturb nothing.
+Bullet gives links without an ``<inertial>`` a mass of 1 kg, and fixes a massless root. A group has the sum of the masses of its links, so that
+massless links (``base_footprint``, ``camera_link``) have no effect and take no time.
 """
 
 from __future__ import annotations
@@ -22,56 +22,56 @@ from gibson_sim.quoting import quoted
 
 MOVING_TYPES = ("continuous", "revolute", "prismatic")
 DEFAULT_FRICTION = 0.5
-"""Coulomb friction of links that give none; the engine multiplies it with that of the other body (static shapes: 1)."""
+"""Default Coulomb friction of links; the engine multiplies it with that of the other body (static shapes: 1)."""
 MAX_MOVING_JOINTS = 121
-"""Moving joints of one body: the engine has room for 128 coordinates, of which the pose of the root needs seven."""
+"""Maximum number of moving joints of a body: the engine has 128 coordinates, seven of which are the pose of the root."""
 MAX_JOINTS = 127
-"""Joints of one body in the engine, including fixed ones to links with a friction of their own."""
+"""Maximum number of joints of a body in the engine, including fixed joints to links with their own friction."""
 _DEFAULT_ROOT_KG = 1.0
-"""Mass of a root group without one, kg."""
+"""Default mass of a root group, kg."""
 _DEFAULT_LINK_KG = 0.05
-"""Mass of another group without one, kg."""
+"""Default mass of other groups, kg."""
 _DEFAULT_GYRATION = 0.05
-"""Radius of gyration of a group whose inertia is impossible, or that has neither mass nor shape, metres."""
+"""Radius of gyration of a group whose inertia is invalid, or that has neither mass nor shape, metres."""
 _LEAST_SIDE = 0.02
-"""Least side of the box whose inertia a group without mass has, metres: with less an engine gets unstable."""
+"""Minimum side of the box from which the inertia of a massless group is computed, metres; smaller values make an engine unstable."""
 
 
 @dataclass(slots=True)
 class RigidGroup:
-    """Links that move as one. All matrices and vectors are in the frame of its first link."""
+    """Links that are rigidly connected. All matrices and vectors are in the frame of the first link."""
 
     name: str
-    """Its first link, whose frame is the group's."""
+    """Name of the first link, whose frame is that of the group."""
     joint: UrdfJoint | None
-    """Joint to the group above; None for the root."""
+    """Joint to the parent group; None for the root."""
     parent: str = ""
-    """Name of the group above."""
+    """Name of the parent group."""
     T_parent_group: Mat4 = field(default_factory=lambda: np.eye(4))
-    """At joint position 0."""
+    """Pose in the parent group at joint position 0, (4, 4)."""
     members: dict[str, Mat4] = field(default_factory=dict)
-    """T_group_link, (4, 4), of every link in it."""
+    """Link name -> T_group_link, (4, 4)."""
     collisions: list[tuple[Shape, Mat4]] = field(default_factory=list)
-    """Shapes and T_group_shape."""
+    """Collision shapes, each with T_group_shape, (4, 4)."""
     friction: float | None = None
     rolling_friction: float = 0.0
     spinning_friction: float = 0.0
     stiffness: float = 0.0
     contact_damping: float = 0.0
     mass: float = 0.0
-    """kg."""
+    """Mass, kg."""
     center: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     """Centre of mass, (3,), metres."""
     inertia: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
     """Inertia about the centre of mass, (3, 3), kg m^2."""
     mass_is_assumed: bool = False
-    """Whether the description gives it no mass."""
+    """Whether the mass is a default, since the description gives none."""
 
 
 def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[RigidGroup, ...], tuple[str, ...]]:
-    """Returns (groups, warnings): the root's group first, parents before children.
+    """Returns (groups, warnings): the group of the root first, parents before children.
 
-    A fixed link with its own friction or stiffness remains a group, because the engine has these per link.
+    A fixed link with its own friction or stiffness remains a separate group, because in the engine these are properties of a link.
 
     Args:
         model: The links.
@@ -79,26 +79,26 @@ def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[R
     """
     by_child = {joint.child: joint for joint in model.joints}
     groups: dict[str, RigidGroup] = {}
-    home: dict[str, str] = {}
+    group_of_link: dict[str, str] = {}
     for link in model.links:
         joint = by_child.get(link.name)
-        above = None if joint is None else groups[home[joint.parent]]
-        if joint is None or above is None:
+        parent = None if joint is None else groups[group_of_link[joint.parent]]
+        if joint is None or parent is None:
             group = _group(link, None)
             T_group_link: Mat4 = np.eye(4)
         else:
-            T_group_link = above.members[joint.parent] @ matrix_from_pose(joint.pose)
-            if joint.kind == "fixed" and _same_contact(above, link):
-                group = above
+            T_group_link = parent.members[joint.parent] @ matrix_from_pose(joint.pose)
+            if joint.kind == "fixed" and _same_contact(parent, link):
+                group = parent
             elif joint.kind in (*MOVING_TYPES, "fixed"):
-                group = _group(link, joint, above.name, T_group_link)
+                group = _group(link, joint, parent.name, T_group_link)
                 T_group_link = np.eye(4)
             else:
                 raise RobotError(
                     f"{model.path}: joint {quoted(joint.name)} is {joint.kind}, which is not simulated; use one of {MOVING_TYPES}"
                 )
         groups[group.name] = group
-        home[link.name] = group.name
+        group_of_link[link.name] = group.name
         group.members[link.name] = T_group_link
         _add_link(group, link, T_group_link)
     _check_count(model, [group.joint for group in groups.values() if group.joint is not None])
@@ -110,13 +110,13 @@ def _check_count(model: UrdfModel, joints: list[UrdfJoint]) -> None:
     moving = sum(joint.kind in MOVING_TYPES for joint in joints)
     if moving > MAX_MOVING_JOINTS or len(joints) > MAX_JOINTS:
         raise RobotError(
-            f"{model.path}: has {moving} joints that move, and {len(joints) - moving} links with a friction of their own; at most "
-            f"{MAX_MOVING_JOINTS} can move and {MAX_JOINTS} be there in all; make those fixed that you do not need"
+            f"{model.path}: has {moving} moving joints and {len(joints) - moving} fixed links with their own friction, must have at most "
+            f"{MAX_MOVING_JOINTS} moving joints, and {MAX_JOINTS} of both; make the joints fixed that you do not need"
         )
 
 
 def _group(link: UrdfLink, joint: UrdfJoint | None, parent: str = "", T_parent_group: Mat4 | None = None) -> RigidGroup:
-    """Returns the group that begins with a link."""
+    """Returns a group with a link as its first."""
     at = np.eye(4) if T_parent_group is None else T_parent_group
     group = RigidGroup(link.name, joint, parent, at)
     _set_contact(group, link)
@@ -131,12 +131,12 @@ def _set_contact(group: RigidGroup, link: UrdfLink) -> None:
 
 
 def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: bool = False) -> str:
-    """Returns a URDF with one link per group: masses, collision shapes with absolute paths, joints; nothing to be drawn.
+    """Returns a URDF with one link per group: masses, collision shapes with absolute paths, and joints, without visuals.
 
     Args:
         model: The links.
         groups: Their groups.
-        concave: Whether meshes keep all their triangles, hollow, which is only for bodies that never move; else the engine makes convex hulls.
+        concave: Whether meshes collide as triangle meshes, which is only for bodies that never move; else the engine uses convex hulls.
     """
     robot = ET.Element("robot", name=model.name)
     for group in groups:
@@ -161,50 +161,50 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: b
             _geometry(collision, shape)
         if group.joint is not None:
             _joint(robot, group, group.joint)
-    ET.indent(robot)  # Bullet breaks lines of more than 8 KB, even inside a file name.
+    ET.indent(robot)  # Bullet splits lines of more than 8 KB, even within a file name.
     return ET.tostring(robot, encoding="unicode")
 
 
 def _same_contact(group: RigidGroup, link: UrdfLink) -> bool:
-    """Returns whether the link's shapes can join the group's; the first shapes of a group determine its friction and stiffness."""
+    """Returns whether a link can be merged into the group: the first collision shapes of a group determine its friction and stiffness."""
     if not link.collisions:
         return True
     if not group.collisions:
         _set_contact(group, link)
-    rolling, soft = (link.rolling_friction, link.spinning_friction), (link.stiffness, link.contact_damping)
+    rolling, compliance = (link.rolling_friction, link.spinning_friction), (link.stiffness, link.contact_damping)
     same_rolling = rolling in ((0.0, 0.0), (group.rolling_friction, group.spinning_friction))
-    same_soft = soft[0] == 0.0 or soft == (group.stiffness, group.contact_damping)
-    return (link.friction is None or link.friction == group.friction) and same_rolling and same_soft
+    same_compliance = compliance[0] == 0.0 or compliance == (group.stiffness, group.contact_damping)
+    return (link.friction is None or link.friction == group.friction) and same_rolling and same_compliance
 
 
 def _add_link(group: RigidGroup, link: UrdfLink, T_group_link: Mat4) -> None:
-    """Adds the link's shapes and mass (parallel axis theorem)."""
+    """Adds the collision shapes and the mass of a link (parallel axis theorem)."""
     for item in link.collisions:
         group.collisions.append((item.shape, T_group_link @ matrix_from_pose(item.pose)))
     if link.inertial is None or link.inertial.mass == 0:
         return
     T_group_inertial = T_group_link @ matrix_from_pose(link.inertial.pose)
     ixx, ixy, ixz, iyy, iyz, izz = link.inertial.inertia
-    own = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    inertia = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
     rotation = T_group_inertial[:3, :3]
     mass = group.mass + link.inertial.mass
     center = (group.mass * group.center + link.inertial.mass * T_group_inertial[:3, 3]) / mass
     group.inertia = (
         group.inertia
         + _point_inertia(group.mass, group.center - center)
-        + rotation @ own @ rotation.T
+        + rotation @ inertia @ rotation.T
         + _point_inertia(link.inertial.mass, T_group_inertial[:3, 3] - center)
     )
     group.mass, group.center = mass, center
 
 
 def _point_inertia(mass: float, offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the inertia, (3, 3), of a point mass at ``offset``."""
+    """Returns the inertia, (3, 3), kg m^2, of a point mass at ``offset``, (3,)."""
     return mass * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
 
 
 def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
-    """Replaces a mass or an inertia that an engine cannot use; returns warnings of what changed."""
+    """Replaces a mass or an inertia that an engine cannot use; returns warnings about the changes."""
     warnings = []
     if group.mass <= 0:
         group.mass = _DEFAULT_ROOT_KG if group.joint is None else _DEFAULT_LINK_KG
@@ -212,20 +212,20 @@ def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
         group.center, group.inertia = _assumed_inertia(model, group)
         warnings.append(f"{model.path.name}: link {quoted(group.name)} has no mass; {group.mass:g} kg is used")
     low, mid, high = np.linalg.eigvalsh(group.inertia)
-    # A real body obeys the triangle inequality; hand-written files often violate it slightly, which engines tolerate.
+    # The inertia of a real body obeys the triangle inequality; files often violate it slightly, which engines tolerate.
     if low <= 0 or high > 1.5 * (low + mid):
         group.inertia = np.eye(3) * group.mass * _DEFAULT_GYRATION**2
         if not warnings:
             warnings.append(
-                f"{model.path.name}: link {quoted(group.name)} has an impossible inertia; that of a small ball is used"
+                f"{model.path.name}: link {quoted(group.name)} has an invalid inertia; that of a small sphere is used"
             )
     return warnings
 
 
 def _assumed_inertia(model: UrdfModel, group: RigidGroup) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns (centre of mass, inertia) of a group without a mass: as if the boxes around its collision shapes, else its visuals, had one density.
+    """Returns (centre of mass (3,), inertia (3, 3)) of a massless group: that of the bounding boxes of its collision shapes, else visuals.
 
-    Meshes do not count, since they are not read here; without any other shape the mass is a small ball at the origin.
+    Ignores meshes, since it does not read files; without other shapes the result is that of a small sphere at the origin.
     """
     for kind in ("collisions", "visuals"):
         boxes = [
@@ -241,8 +241,8 @@ def _assumed_inertia(model: UrdfModel, group: RigidGroup) -> tuple[NDArray[np.fl
         center = masses @ np.array([T[:3, 3] for T, _ in boxes]) / group.mass
         inertia = np.zeros((3, 3))
         for mass, (T, sides) in zip(masses, boxes, strict=True):
-            own = np.diag(mass / 12 * ((sides**2).sum() - sides**2))
-            inertia += T[:3, :3] @ own @ T[:3, :3].T + _point_inertia(float(mass), T[:3, 3] - center)
+            box_inertia = np.diag(mass / 12 * ((sides**2).sum() - sides**2))
+            inertia += T[:3, :3] @ box_inertia @ T[:3, :3].T + _point_inertia(float(mass), T[:3, 3] - center)
         return center, inertia
     return np.zeros(3), np.eye(3) * group.mass * _DEFAULT_GYRATION**2
 
@@ -275,9 +275,9 @@ def _origin(element: ET.Element, transform: Mat4) -> None:
 
 
 def rpy_from_matrix(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Returns roll, pitch, yaw (radians) with ``rotation`` = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Returns roll, pitch, yaw (radians) such that ``rotation``, (3, 3), = Rz(yaw) Ry(pitch) Rx(roll)."""
     pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
-    if math.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # gimbal lock: only roll -+ yaw is defined, so yaw is 0
+    if math.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # gimbal lock: only roll -+ yaw is defined, so set yaw to 0
         return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
     return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
 

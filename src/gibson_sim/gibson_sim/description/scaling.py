@@ -1,4 +1,4 @@
-"""Scales a model. Pure."""
+"""Scales URDF models. Pure."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from gibson_sim.types import Pose, Vec3
 
 
 def scaled_model(model: UrdfModel, factor: float) -> UrdfModel:
-    """Returns the model with all lengths times ``factor`` and equal density: mass grows with the third power.
+    """Returns the model with all lengths scaled by ``factor`` at constant density: mass scales with the third power.
 
-    Prismatic joints move ``factor`` times as far; angles stay. Damping and friction grow with mass and inertia, so joints come to rest as before.
+    The travel of prismatic joints scales with ``factor``; angles do not change. Damping and friction scale with mass and inertia, so that joints
+    come to rest as before.
     """
     if factor == 1.0:
         return model
@@ -36,23 +37,29 @@ def _link(link: UrdfLink, factor: float) -> UrdfLink:
 
 
 def _joint(joint: UrdfJoint, factor: float, factors: dict[str, float]) -> UrdfJoint:
-    stretch = factors[joint.name]
-    # N s/m of a prismatic joint scales with the mass, N m s/rad of a hinge with the inertia.
+    travel_factor = factors[joint.name]
+    # The damping of a prismatic joint (N s/m) scales with the mass, that of a hinge (N m s/rad) with the inertia.
     damping = joint.damping * factor ** (3 if joint.kind == "prismatic" else 5)
-    # N of a prismatic joint scales with the mass and the distance, N m of a hinge with the inertia.
+    # The friction of a prismatic joint (N) scales with mass times length, that of a hinge (N m) with the inertia.
     friction = joint.friction * factor ** (4 if joint.kind == "prismatic" else 5)
-    pose, lower, upper = _pose(joint.pose, factor), joint.lower * stretch, joint.upper * stretch
+    pose, lower, upper = _pose(joint.pose, factor), joint.lower * travel_factor, joint.upper * travel_factor
     return replace(
-        joint, pose=pose, lower=lower, upper=upper, damping=damping, mimic=_mimic(joint, stretch, factors), friction=friction
+        joint,
+        pose=pose,
+        lower=lower,
+        upper=upper,
+        damping=damping,
+        mimic=_mimic(joint, travel_factor, factors),
+        friction=friction,
     )
 
 
-def _mimic(joint: UrdfJoint, stretch: float, factors: dict[str, float]) -> Mimic | None:
-    """Returns the mimic of a joint whose motion is ``stretch`` times as far, and that of its leader by its factor in ``factors``."""
+def _mimic(joint: UrdfJoint, travel_factor: float, factors: dict[str, float]) -> Mimic | None:
+    """Returns the mimic of a joint whose travel is scaled by ``stretch``, and that of its leader by its factor in ``factors``."""
     if joint.mimic is None:
         return None
-    multiplier = joint.mimic.multiplier * stretch / factors[joint.mimic.leader]
-    return replace(joint.mimic, multiplier=multiplier, offset=joint.mimic.offset * stretch)
+    multiplier = joint.mimic.multiplier * travel_factor / factors[joint.mimic.leader]
+    return replace(joint.mimic, multiplier=multiplier, offset=joint.mimic.offset * travel_factor)
 
 
 def _shape(shape: Shape, factor: float) -> Shape:

@@ -15,11 +15,11 @@ ShapeKind = Literal["mesh", "box", "sphere", "cylinder"]
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A geometry in its own frame, z up, centred (primitives) or as in its file (meshes)."""
+    """A geometry in its own frame, z up, with the origin at the centre (primitives) or as in the file (meshes)."""
 
     kind: ShapeKind
     size: Vec3 = (1.0, 1.0, 1.0)
-    """mesh: scale factors along x, y, z; box: edge lengths; sphere: (radius, 0, 0); cylinder about z: (radius, length, 0); m."""
+    """Size: mesh: scale factors along x, y, z; box: edge lengths; sphere: (radius, 0, 0); cylinder about z: (radius, length, 0); m."""
     mesh: str = ""
     """Absolute path of the mesh file; empty for primitives."""
 
@@ -34,13 +34,13 @@ class Pattern:
 
     kind: PatternKind = "noise"
     seed: int = 0
-    """noise: seed of its pixels."""
+    """Seed of the pixels of kind noise."""
     colors: tuple[Vec3, Vec3] = ((0.2, 0.2, 0.2), (0.8, 0.8, 0.8))
-    """sRGB, 0 to 1; image: not used."""
+    """Two colours, sRGB, 0 to 1; not used by kind image."""
     size: float = 0.5
-    """Period, metres; stripes and checkers have four pairs of colours in it."""
+    """Period, metres; a period of stripes and checkers has four pairs of colours."""
     image: str = ""
-    """kind image: absolute path of the file."""
+    """Absolute path of the file of kind image; empty for other kinds."""
 
     def __post_init__(self) -> None:
         if self.kind not in PATTERN_KINDS:
@@ -55,7 +55,7 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """Changes to the materials of a visual. Depth, labels and normals never change, since opacity does not."""
+    """Changes to the materials of a visual. They do not change opacity, and therefore not depth, labels and normals."""
 
     hue: float = 0.0
     """Rotation of the hue of all colours, 1 = a full circle."""
@@ -64,32 +64,32 @@ class Appearance:
     value: float = 1.0
     """Factor on the brightness: 0 = black."""
     pattern: Pattern | None = None
-    """Replaces the colours of the texture, but not its opacity; None = no change."""
+    """Pattern that replaces the colours of the texture, but not its opacity; None = no change."""
     metallic: float | None = None
-    """Replaces the metalness, 0 to 1; None = no change."""
+    """Metalness, 0 to 1; None = no change."""
     roughness: float | None = None
-    """Replaces the roughness, 0 to 1; None = no change."""
+    """Roughness, 0 to 1; None = no change."""
 
     @property
     def is_tint(self) -> bool:
-        """Whether colours change other than by a pattern."""
+        """Whether hue, saturation or value changes."""
         return (self.hue, self.saturation, self.value) != (0.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class VisualSpec:
-    """A shape to be drawn."""
+    """A visual: a shape that is drawn."""
 
     name: str
-    """Unique in the scene."""
+    """Name, unique in the scene."""
     link: str
     """Link that it is fixed to, as in ``SceneState.links``; empty = the world."""
     shape: Shape
     pose: Pose = field(default_factory=Pose)
     """T_link_visual."""
     color: Rgba | None = None
-    """Replaces the materials of the file (sRGB and alpha, each 0 to 1); None = as the file says."""
+    """Colour that replaces the materials of the file, sRGB and alpha, each 0 to 1; None = the materials of the file."""
     semantic_class: str = ""
-    """Class name; empty = unlabelled."""
+    """Semantic class; empty = unlabelled."""
     appearance: Appearance | None = None
     """Changes to the materials; None = none."""

@@ -1,7 +1,7 @@
-"""Reads a URDF file into plain values: links, shapes, joints, the tree. Pure: no physics engine, no ROS.
+"""Parses a URDF file to plain values: links, shapes, joints. Pure: imports neither a physics engine nor ROS.
 
-Bad structure (no root, two roots, a cycle, text in place of a number) is a ``RobotError``. What is dispensable (a missing mesh, a shape of unknown
-kind) is left out, with one line in ``UrdfModel.warnings``.
+An invalid structure (no root, two roots, a cycle, text in place of a number) is a ``RobotError``. Dispensable elements (a missing mesh, a shape
+of unknown type) are left out, with one line in ``UrdfModel.warnings``.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ __all__ = [
 ]  # fmt: skip
 
 _MOST_NAMED, _LONGEST_NAME = 8, 40
-"""Number of links that a message names, and characters of each name."""
+"""Maximum number of links that a message names, and maximum length of each name, characters."""
 FindMesh = Callable[[str, Path], Path | None]
-"""Takes the name of a mesh and the URDF's path; returns the absolute path of the file, or None if there is none."""
+"""Function that returns the absolute path of a mesh, given its name and the path of the URDF, or None if it does not exist."""
 
 
 def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
-    """Reads the URDF at ``path``.
+    """Returns the model in the URDF at ``path``.
 
     Args:
         path: The file.
         find: Finds its meshes; None = ``resolve_mesh``.
 
     Raises:
-        RobotError: the file is missing, is no URDF, or its tree is broken; one line.
+        RobotError: the file is missing, is not a URDF, or its tree is invalid; one line.
     """
     path = Path(path)
     try:
@@ -56,7 +56,7 @@ def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
 
 
 def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) -> UrdfModel:
-    """Reads a URDF from its text.
+    """Returns the model in the text of a URDF.
 
     Args:
         text: The XML.
@@ -64,33 +64,33 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
         find: Finds its meshes; None = ``resolve_mesh``.
 
     Raises:
-        RobotError: it is no URDF, or its tree is broken; one line.
+        RobotError: the text is not a URDF, or its tree is invalid; one line.
     """
     xacro = f"{source.absolute()}: is a xacro, not a URDF; expand it first: xacro {source.name} > robot.urdf"
     try:
         top = parse_xml(with_defaults(text.encode("utf-8", errors="replace") if isinstance(text, str) else text))
     except TextError as error:
-        raise RobotError(xacro if is_xacro(text) else f"{source}: {error}").telling(error.public) from error
+        raise RobotError(xacro if is_xacro(text) else f"{source}: {error}").with_public(error.public) from error
     if is_xacro(text, top):
         raise RobotError(xacro)
     return _Reader(source, find or resolve_mesh).model(top)
 
 
 class _Reader:
-    """Turns the XML of one file into values, and collects warnings."""
+    """Converts the XML of one file to values, and collects warnings."""
 
     def __init__(self, path: Path, find: FindMesh) -> None:
         self.path, self.find = path.absolute(), find
         self.warnings: list[str] = []
         self.colors: dict[str, Rgba | None] = {}
-        """Material name -> its colour; None = it has only a texture."""
+        """Material name -> colour; None = the material has only a texture."""
         self.frictions: dict[str, float] = {}
         """Link -> Coulomb friction from ``<gazebo>`` elements."""
 
     def model(self, top: ET.Element) -> UrdfModel:
         """Returns the model of a ``<robot>``."""
         if top.tag != "robot":
-            raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, a URDF has <robot>")
+            raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, must be <robot>")
         for material in top.iter("material"):
             color = material.find("color")
             if color is not None or material.find("texture") is not None:
@@ -113,11 +113,11 @@ class _Reader:
         for joint in joints:
             for end in (joint.parent, joint.child):
                 if end not in by_name:
-                    raise RobotError(f"{self.path}: joint {quoted(joint.name)} names link {quoted(end)}, which is not there")
+                    raise RobotError(f"{self.path}: joint {quoted(joint.name)} names link {quoted(end)}, which does not exist")
             if joint.child in parents:
                 other = parents[joint.child].name
                 raise RobotError(
-                    f"{self.path}: link {quoted(joint.child)} has two parents, through joints {quoted(other)} and {quoted(joint.name)}"
+                    f"{self.path}: link {quoted(joint.child)} has two parents, by joints {quoted(other)} and {quoted(joint.name)}"
                 )
             parents[joint.child] = joint
             children[joint.parent].append(joint.child)
@@ -125,12 +125,12 @@ class _Reader:
         if not by_name:
             raise RobotError(f"{self.path}: has no <link>")
         if not roots:
-            raise RobotError(f"{self.path}: has no root link: the joints form a cycle; one link must be no joint's child")
+            raise RobotError(f"{self.path}: has no root link: the joints form a cycle; one link must have no parent")
         if len(roots) > 1:
-            named = ", ".join(clipped(name, _LONGEST_NAME) for name in roots[:_MOST_NAMED]) + (
+            listed = ", ".join(clipped(name, _LONGEST_NAME) for name in roots[:_MOST_NAMED]) + (
                 ", ..." if len(roots) > _MOST_NAMED else ""
             )
-            raise RobotError(f"{self.path}: has {len(roots)} root links ({named}); join them so that one is left")
+            raise RobotError(f"{self.path}: has {len(roots)} root links ({listed}); connect them so that only one remains")
         order: list[str] = []
         stack = [roots[0]]
         while stack:
@@ -138,22 +138,24 @@ class _Reader:
             order.append(name)
             stack.extend(reversed(children[name]))
         if len(order) != len(by_name):
-            lost = [name for name in by_name if name not in set(order)]
-            raise RobotError(f"{self.path}: links {', '.join(lost)} form a cycle that the root {quoted(roots[0])} does not reach")
+            unreachable = [name for name in by_name if name not in set(order)]
+            raise RobotError(
+                f"{self.path}: links {', '.join(unreachable)} form a cycle that the root {quoted(roots[0])} does not reach"
+            )
         return tuple(by_name[name] for name in order)
 
     def with_final_leaders(self, joints: list[UrdfJoint]) -> list[UrdfJoint]:
-        """Returns the joints, with each mimic joint following the end of its chain of leaders."""
+        """Returns the joints, with the last joint of its chain as the leader of each mimic joint."""
         moving = [joint.name for joint in joints if joint.kind != "fixed"]
-        followed = leaders({joint.name: joint.mimic for joint in joints if joint.mimic is not None}, moving, str(self.path))
-        return [replace(joint, mimic=followed.get(joint.name)) for joint in joints]
+        mimics = leaders({joint.name: joint.mimic for joint in joints if joint.mimic is not None}, moving, str(self.path))
+        return [replace(joint, mimic=mimics.get(joint.name)) for joint in joints]
 
     def check_unique(self, what: str, names: Iterable[str]) -> None:
         """Raises RobotError if two names are equal."""
         seen: set[str] = set()
         for name in names:
             if name in seen:
-                raise RobotError(f"{self.path}: two {what}s are named {quoted(name)}; names must differ")
+                raise RobotError(f"{self.path}: two {what}s are named {quoted(name)}; names must be unique")
             seen.add(name)
 
     def link(self, element: ET.Element) -> UrdfLink:
@@ -172,7 +174,7 @@ class _Reader:
                 collisions.append(UrdfCollision(shape, self.origin(item, where)))
         if missing and not visuals and collisions:
             visuals = [UrdfVisual(collision.shape, collision.pose, None) for collision in collisions]
-            self.warnings.append(f"{self.path.name}: {where}: its collision shapes are drawn, since it has no other visual")
+            self.warnings.append(f"{self.path.name}: {where}: its collision shapes are drawn, since it has no usable visual")
         friction = element.find("contact/lateral_friction")
         return UrdfLink(
             name, tuple(visuals), tuple(collisions), self.inertial(element.find("inertial"), where),
@@ -182,9 +184,9 @@ class _Reader:
         )  # fmt: skip
 
     def contact(self, element: ET.Element, key: str, where: str) -> float:
-        """Returns a number, 0 or more, in the ``<contact>`` of a link; 0 if it is missing."""
-        found = element.find(f"contact/{key}")
-        value = 0.0 if found is None else self.numbers(found, "value", 1, where)[0]
+        """Returns a non-negative number in the ``<contact>`` of a link; 0 if it is missing."""
+        item = element.find(f"contact/{key}")
+        value = 0.0 if item is None else self.numbers(item, "value", 1, where)[0]
         if value < 0:
             raise RobotError(f"{self.path}: {where}: {key} is {value:g}, must not be negative")
         return value
@@ -205,7 +207,7 @@ class _Reader:
         axis = (1.0, 0.0, 0.0) if axis_element is None else self.vector(axis_element, "xyz", where)
         length = math.sqrt(sum(c * c for c in axis))
         if kind != "fixed" and length < 1e-9:
-            raise RobotError(f"{self.path}: {where} has axis (0, 0, 0), which is no direction")
+            raise RobotError(f"{self.path}: {where} has axis (0, 0, 0), which is not a direction")
         unit = (axis[0] / length, axis[1] / length, axis[2] / length) if length > 1e-9 else (1.0, 0.0, 0.0)
         limit, dynamics = element.find("limit"), element.find("dynamics")
         damping, friction = (0.0 if dynamics is None else self.optional(dynamics, key, where) for key in ("damping", "friction"))
@@ -247,7 +249,7 @@ class _Reader:
         return Inertial(kg, self.origin(element, where), (ixx, ixy, ixz, iyy, iyz, izz))
 
     def shape(self, element: ET.Element, where: str) -> Shape | None:
-        """Returns the shape, or None, with a warning, if it cannot be used."""
+        """Returns the shape of a visual or collision shape, or None with a warning if it cannot be used."""
         geometry = element.find("geometry")
         kinds = [] if geometry is None else list(geometry)
         if not kinds:
@@ -269,10 +271,10 @@ class _Reader:
             if 0.0 in scale:
                 raise RobotError(f"{self.path}: {where}: scale {scale} makes the mesh flat; no factor may be 0")
             name = self.text(item, "filename")
-            found = self.find(name, self.path)
-            if found is not None:
-                return Shape("mesh", scale, str(found))
-            text = f"{self.path.name}: {where}: mesh {name} is not there; left out"
+            path = self.find(name, self.path)
+            if path is not None:
+                return Shape("mesh", scale, str(path))
+            text = f"{self.path.name}: {where}: mesh {name} does not exist; left out"
             self.warnings.append(Omission(text, OmissionKind.MISSING_ASSET))
             return None
         text = f"{self.path.name}: {where}: shape <{item.tag}> is not known; left out"
@@ -282,9 +284,9 @@ class _Reader:
     def color(self, material: ET.Element | None, where: str) -> Rgba | None:
         if material is None:
             return None
-        own = material.find("color")
-        if own is not None:
-            return self.rgba(own)
+        color = material.find("color")
+        if color is not None:
+            return self.rgba(color)
         name = material.get("name", "")
         if name not in self.colors and material.find("texture") is None:
             self.warnings.append(f"{self.path.name}: {where}: material {quoted(name)} is not defined; drawn without a colour")
@@ -297,7 +299,7 @@ class _Reader:
     # Values
 
     def origin(self, element: ET.Element, where: str) -> Pose:
-        """Returns the pose in the ``<origin>`` of an element; the identity if there is none."""
+        """Returns the pose in the ``<origin>`` of an element; the identity if it is missing."""
         item = element.find("origin")
         if item is None:
             return Pose()
@@ -313,23 +315,23 @@ class _Reader:
         return values
 
     def text(self, element: ET.Element, key: str) -> str:
-        """Returns an attribute that is not empty."""
+        """Returns the value of an attribute; raises RobotError if it is missing or empty."""
         value = element.get(key, "").strip()
         if not value:
             raise RobotError(f"{self.path}: a <{element.tag}> has no {key}")
         return value
 
     def vector(self, element: ET.Element, key: str, where: str) -> Vec3:
-        """Returns three finite numbers."""
+        """Returns three finite numbers in an attribute."""
         x, y, z = self.numbers(element, key, 3, where)
         return (x, y, z)
 
     def optional(self, element: ET.Element, key: str, where: str, default: float = 0.0) -> float:
-        """Returns a finite number, or the default if the attribute is missing."""
+        """Returns a finite number in an attribute, or the default if it is missing."""
         return self.numbers(element, key, 1, where)[0] if element.get(key) else default
 
     def numbers(self, element: ET.Element, key: str, count: int, where: str) -> tuple[float, ...]:
-        """Returns ``count`` finite numbers."""
+        """Returns ``count`` finite numbers in an attribute; raises RobotError for other values."""
         raw = element.get(key, "")
         try:
             values = tuple(float(part) for part in raw.split())

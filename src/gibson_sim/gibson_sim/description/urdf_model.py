@@ -1,4 +1,4 @@
-"""A robot or a body as a URDF describes it: links, shapes, joints, the tree. Pure values; ``description.urdf`` reads them."""
+"""The kinematic tree of a URDF: links, shapes, joints. Pure values; ``description.urdf`` reads them."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ JOINT_TYPES = ("fixed", "continuous", "revolute", "prismatic", "floating", "plan
 
 @dataclass(frozen=True, slots=True)
 class UrdfVisual:
-    """A shape to be drawn."""
+    """A visual of a link."""
 
     shape: Shape
     pose: Pose
     """T_link_visual."""
     color: Rgba | None
-    """sRGB and alpha of its material; None = the material names none."""
+    """Colour of its material, sRGB and alpha, 0 to 1; None = the material has no colour."""
 
 
 @dataclass(frozen=True, slots=True)
 class UrdfCollision:
-    """A collision shape."""
+    """A collision shape of a link."""
 
     shape: Shape
     pose: Pose
@@ -42,19 +42,19 @@ class UrdfCollision:
 
 @dataclass(frozen=True, slots=True)
 class Inertial:
-    """Mass of one link."""
+    """Mass properties of a link."""
 
     mass: float
-    """kg."""
+    """Mass, kg."""
     pose: Pose
     """T_link_inertial: its position is the centre of mass."""
     inertia: tuple[float, float, float, float, float, float]
-    """ixx, ixy, ixz, iyy, iyz, izz in the inertial frame, kg m^2."""
+    """Inertia ixx, ixy, ixz, iyy, iyz, izz in the inertial frame, kg m^2."""
 
 
 @dataclass(frozen=True, slots=True)
 class UrdfLink:
-    """One rigid link."""
+    """A rigid link."""
 
     name: str
     visuals: tuple[UrdfVisual, ...] = ()
@@ -63,50 +63,50 @@ class UrdfLink:
     friction: float | None = None
     """Coulomb friction from ``<contact><lateral_friction value=""/></contact>`` (an extension of Bullet); None = not given."""
     rolling_friction: float = 0.0
-    """Rolling resistance of a round link, metres, from ``<rolling_friction value=""/>`` beside it."""
+    """Rolling friction of a round link, metres, from ``<rolling_friction value=""/>`` in ``<contact>``."""
     spinning_friction: float = 0.0
-    """Resistance to spinning about the normal of a contact, metres, from ``<spinning_friction value=""/>``."""
+    """Torsional friction about the contact normal, metres, from ``<spinning_friction value=""/>``."""
     stiffness: float = 0.0
-    """Stiffness of its contacts, N/m, from ``<stiffness value=""/>``: a body on soft and hard contacts rests on the hard ones first; 0 = hard."""
+    """Contact stiffness, N/m, from ``<stiffness value=""/>``; 0 = rigid contact. A body with both rests mainly on its rigid contacts."""
     contact_damping: float = 0.0
-    """Damping of its contacts, N s/m, from ``<damping value=""/>`` beside that."""
+    """Contact damping, N s/m, from ``<damping value=""/>``."""
 
 
 @dataclass(frozen=True, slots=True)
 class UrdfJoint:
-    """One joint; at position 0 its child frame is at ``pose`` in the parent's."""
+    """A joint; at position 0 the child frame is at ``pose`` in the parent frame."""
 
     name: str
     kind: str
-    """One of ``JOINT_TYPES``."""
+    """Type, one of ``JOINT_TYPES``."""
     parent: str
     child: str
     pose: Pose
     """T_parent_child at joint position 0."""
     axis: Vec3
-    """Unit vector, child frame."""
+    """Axis, unit vector in the child frame."""
     lower: float = 0.0
-    """Radians or metres; lower > upper = no limit."""
+    """Lower position limit, radians or metres; lower > upper = no limits."""
     upper: float = -1.0
     effort: float = 0.0
     """Effort limit, N m or N; 0 = not given."""
     velocity: float = 0.0
     """Velocity limit, rad/s or m/s; 0 = not given."""
     damping: float = 0.0
-    """N m s/rad or N s/m."""
+    """Damping, N m s/rad or N s/m."""
     mimic: Mimic | None = None
-    """The joint that it follows; None = it moves by itself."""
+    """Leader of a mimic joint; None for other joints."""
     friction: float = 0.0
-    """Dry friction while no motor drives it, N m or N."""
+    """Dry friction while the motor is off, N m or N."""
 
     @property
     def is_bounded(self) -> bool:
-        """Whether its position has limits."""
+        """Whether the joint has position limits."""
         return self.kind != "continuous" and self.lower <= self.upper
 
     @property
     def has_motor(self) -> bool:
-        """Whether it can be commanded: a continuous joint with neither an effort nor a velocity limit is a caster."""
+        """Whether the joint can be commanded: mimic joints cannot, and a continuous joint without effort and velocity limits is a caster."""
         if self.mimic is not None:
             return False
         return self.kind in ("revolute", "prismatic") or (self.kind == "continuous" and max(self.effort, self.velocity) > 0.0)
@@ -137,17 +137,17 @@ class UrdfJoint:
 
 @dataclass(frozen=True, slots=True)
 class UrdfModel:
-    """A checked tree of links."""
+    """A validated tree of links and joints."""
 
     name: str
     path: Path
     links: tuple[UrdfLink, ...]
-    """The root first, each parent before its children."""
+    """Links, the root first, each parent before its children."""
     joints: tuple[UrdfJoint, ...]
-    """In the order of the file."""
+    """Joints in the order of the file."""
     warnings: tuple[str, ...] = field(default=())
     gazebo: GazeboTags = field(default_factory=GazeboTags)
-    """What it tells Gazebo."""
+    """Content of its ``<gazebo>`` elements."""
 
     @property
     def root(self) -> str:
@@ -169,30 +169,30 @@ class UrdfModel:
         raise RobotError(f"{self.path}: no joint {quoted(name)}; known: {', '.join(joint.name for joint in self.joints)}")
 
     def fixed_to_root(self) -> tuple[str, ...]:
-        """Returns the root and the links that only fixed joints join to it, in the order of ``links``."""
-        found = {self.root}
-        fixed = {joint.child: joint.parent for joint in self.joints if joint.kind == "fixed"}
+        """Returns the root and the links that are connected to it by fixed joints only, in the order of ``links``."""
+        names = {self.root}
+        fixed_parent = {joint.child: joint.parent for joint in self.joints if joint.kind == "fixed"}
         for link in self.links[1:]:
-            if fixed.get(link.name) in found:
-                found.add(link.name)
-        return tuple(link.name for link in self.links if link.name in found)
+            if fixed_parent.get(link.name) in names:
+                names.add(link.name)
+        return tuple(link.name for link in self.links if link.name in names)
 
     def transforms(self, positions: Mapping[str, float] | None = None) -> dict[str, Mat4]:
-        """Returns T_root_link, (4, 4), of every link with joints at ``positions``; missing joints are at 0."""
-        at = positions or {}
+        """Returns link name -> T_root_link, (4, 4), with joints at ``positions`` (radians or metres); missing joints are at 0."""
+        joint_positions = positions or {}
         by_child = {joint.child: joint for joint in self.joints}
-        out = {self.root: matrix_from_pose(Pose())}
+        transforms = {self.root: matrix_from_pose(Pose())}
         for link in self.links[1:]:
             joint = by_child[link.name]
-            out[link.name] = out[joint.parent] @ matrix_from_pose(joint.pose)
-            if at.get(joint.name):
-                out[link.name] = out[link.name] @ joint.motion(at[joint.name])
-        return out
+            transforms[link.name] = transforms[joint.parent] @ matrix_from_pose(joint.pose)
+            if joint_positions.get(joint.name):
+                transforms[link.name] = transforms[link.name] @ joint.motion(joint_positions[joint.name])
+        return transforms
 
     def with_followers(self, positions: Mapping[str, float]) -> dict[str, float]:
-        """Returns the positions, with those of mimic joints added; missing leaders are at 0."""
-        out = dict(positions)
+        """Returns the joint positions with those of mimic joints added; missing leaders are at 0."""
+        all_positions = dict(positions)
         for joint in self.joints:
             if joint.mimic is not None:
-                out[joint.name] = joint.mimic.position(positions.get(joint.mimic.leader, 0.0))
-        return out
+                all_positions[joint.name] = joint.mimic.position(positions.get(joint.mimic.leader, 0.0))
+        return all_positions

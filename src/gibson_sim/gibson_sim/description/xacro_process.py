@@ -1,10 +1,10 @@
-"""Program that expands one xacro in a process of its own; ``$(find <package>)`` finds the packages that ``package://`` does.
+"""Program that expands one xacro in a separate process; ``$(find <package>)`` searches the same places as ``package://``.
 
-``python -m gibson_sim.description.xacro_process FILE [NAME:=VALUE ...]`` prints the URDF. Includes of files and packages that are not there are left
-out: many descriptions include accessories and Gazebo's plugins that the robot itself does not need. A line of the error output that begins with
-``LEFT_OUT`` names them. If the rest cannot be expanded without them, that is the error.
+``python -m gibson_sim.description.xacro_process FILE [NAME:=VALUE ...]`` prints the URDF. Includes of missing files and packages are left out:
+many descriptions include accessories and Gazebo plugins that the robot itself does not need. Lines of standard error that begin with
+``LEFT_OUT`` name them. It is an error if the other files cannot be expanded without them.
 
-Imports nothing of Gibson Sim but ``packages``.
+Imports only ``packages`` of Gibson Sim.
 """
 
 from __future__ import annotations
@@ -20,68 +20,68 @@ from pathlib import Path
 from typing import Any
 from xml.dom import minidom
 
-from gibson_sim.description.packages import MANIFEST, package_folders, where_looked
+from gibson_sim.description.packages import MANIFEST, package_folders, searched_places
 
 LIMIT_S = 10
-"""Limit of processor time, s: ``${9**9**9}`` never ends."""
+"""Limit of CPU time, s: ``${9**9**9}`` never ends."""
 LIMIT_BYTES = 2 * 2**30
-"""Limit of address space, bytes: ``${'x' * 10**10}`` needs more than a machine has."""
+"""Limit of the address space, bytes: ``${'x' * 10**10}`` needs more memory than most machines have."""
 LEFT_OUT = "left out: "
-"""Beginning of the lines of the error output about what a description includes and is not there."""
+"""Prefix of the lines of standard error about missing includes."""
 _INDEX = "ament_index_python.packages"
 """Module that xacro uses to find the folder of a package."""
 _NOWHERE = "/package-not-found"
-"""Folder, which does not exist, in which missing packages are said to be."""
+"""Nonexistent folder that is returned for missing packages."""
 _UNKNOWN_MACRO = "unknown macro name: "
-"""xacro's error about a macro that no file defines, before its name."""
+"""Prefix of xacro's error about an undefined macro, before the name of the macro."""
 _FOR_SIMULATORS = re.compile(r"gazebo|gz_|_gz|ignition|ros2?_control|transmission|plugin", re.IGNORECASE)
-"""Names of macros that add what another simulator needs, and no link."""
+"""Pattern of the names of macros that add elements for other simulators, but no links."""
 
 
 class Missing:
-    """What a description names and is not there."""
+    """Missing packages and files of a description."""
 
     def __init__(self, file: Path) -> None:
-        """Nothing is missing yet.
+        """Creates an empty list.
 
         Args:
             file: The xacro, absolute.
         """
         self._file = file
         self.packages: list[str] = []
-        """Names of the packages that were not found."""
+        """Names of the missing packages."""
         self.files: list[str] = []
-        """Included files that are not there, without those of missing packages."""
+        """Included files that do not exist, except those of missing packages."""
 
     def lines(self) -> list[str]:
         """Returns one line for all packages, and one for each file."""
         names = ", ".join(map(repr, self.packages))
         what = f"package {names} is" if len(self.packages) == 1 else f"packages {names} are"
         return [
-            *([f"{what} not found: looked in {where_looked(self._file)}"] if names else []),
-            *(f"included file {name} is not there" for name in self.files),
+            *([f"{what} not found: looked in {searched_places(self._file)}"] if names else []),
+            *(f"included file {name} does not exist" for name in self.files),
         ]
 
-    def note_file(self, path: str) -> None:
-        """Notes an included file that is not there."""
+    def add_file(self, path: str) -> None:
+        """Records an included file that does not exist."""
         if not path.startswith(_NOWHERE) and path not in self.files:
             self.files.append(path)
 
 
 def package_finder(file: Path, missing: Missing) -> Callable[[str], str]:
-    """Returns a function that returns the folder of a package by its name; one that does not exist for a package that is missing.
+    """Returns a function from the name of a package to its folder, which does not exist for a missing package.
 
-    It also looks beside the packages that it has found.
+    The function also searches beside the packages that it has already found.
 
     Args:
         file: The xacro, absolute.
-        missing: Gets the packages that are not found.
+        missing: Receives the missing packages.
     """
     beside = [file]
 
     def folders(package: str) -> Iterator[Path]:
-        for place in beside:
-            yield from package_folders(package, place)
+        for file_beside in beside:
+            yield from package_folders(package, file_beside)
 
     def find(package: str) -> str:
         folder = next((folder for folder in folders(package) if folder.is_dir()), None)
@@ -89,20 +89,20 @@ def package_finder(file: Path, missing: Missing) -> Callable[[str], str]:
             if package not in missing.packages:
                 missing.packages.append(package)
             return f"{_NOWHERE}/{package}"
-        if (inside := folder / MANIFEST) not in beside:
-            beside.append(inside)
+        if (manifest := folder / MANIFEST) not in beside:
+            beside.append(manifest)
         return str(folder.absolute())
 
     return find
 
 
 def _tolerate(xacro: Any, file: Path, missing: Missing) -> None:
-    """Lets xacro leave out included files, and macros for other simulators, that are not there."""
+    """Patches xacro to leave out missing included files, and undefined macros for other simulators."""
     parse, call = xacro.parse, xacro.handle_macro_call
 
     def parse_or_nothing(inp: Any, filename: str | None = None) -> Any:
         if inp is None and filename and filename != str(file) and not os.path.isfile(filename):
-            missing.note_file(filename)
+            missing.add_file(filename)
             return minidom.parseString("<robot/>")
         return parse(inp, filename)
 
@@ -120,7 +120,7 @@ def _tolerate(xacro: Any, file: Path, missing: Missing) -> None:
 
 
 def main() -> None:
-    """Expands the file named first on the command line."""
+    """Expands the file in the first command-line argument."""
     resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_S, LIMIT_S))
     resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -1,6 +1,6 @@
 """Reads COLLADA 1.4 and 1.5 (.dae): geometry of the visual scene, diffuse colours and diffuse textures.
 
-The file's unit and up axis are applied. Skins are drawn in their bind shape; animations, lights and cameras are left out.
+The file's unit and up axis are applied. Skins are drawn in their bind pose; animations, lights and cameras are ignored.
 """
 
 from __future__ import annotations
@@ -41,27 +41,27 @@ _UP: dict[str, UpAxis] = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}
 _PRIMITIVES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
 _SHADERS = ("phong", "blinn", "lambert", "constant")
 _MAX_INSTANCES = 100_000
-"""Nodes of the scene, each counted as often as it is instantiated."""
+"""Maximum number of node instances in the scene."""
 _LEAST_ALPHA = 0.02
-"""Opacity below which a surface counts as opaque, since no exporter writes invisible ones; so does one above 1 minus this."""
+"""Opacity below which a surface counts as opaque, since no exporter writes invisible surfaces, as does an opacity above 1 minus this."""
 
 
 def load_dae(
     path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn
 ) -> tuple[list[MeshPart], UpAxis, float]:
-    """Returns the parts of a COLLADA file, metres, z up, and the up axis and the metres per unit of the file.
+    """Returns the parts of a COLLADA file, metres, z up, and the file's up axis and unit, metres.
 
     Args:
         path: the file.
         data: its content.
         textures: finds and decodes the images that it names.
-        files: list to which every further file that is read is appended.
-        warn: called with one line about everything that is left out or replaced.
+        files: list to which the paths of further files that are read are appended.
+        warn: called with one line for each element that is left out or replaced.
 
     Raises:
-        MeshError: the file is no COLLADA file, or is broken.
+        MeshError: the file is not a COLLADA file, or is corrupt.
     """
-    # Without the default namespace, all paths below are plain tag names.
+    # Remove the default namespace, so that all paths below are plain tag names.
     root = parse_xml(_NAMESPACE.sub(b"", data, count=1))
     if root.tag != "COLLADA":
         raise MeshError(f"{path}: is not a COLLADA file: its root is <{root.tag[:60]}>")
@@ -74,7 +74,7 @@ def load_dae(
 
 
 def _unit(path: Path, root: Element, warn: Warn) -> float:
-    """Returns the metres per unit of a file."""
+    """Returns the unit of a file, metres."""
     unit = root.find("asset/unit")
     text = "1" if unit is None else unit.get("meter", "1")
     try:
@@ -82,13 +82,13 @@ def _unit(path: Path, root: Element, warn: Warn) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
-        warn(f"{path}: <unit meter={quoted(text)}> is no length; 1 is used")
+        warn(f"{path}: <unit meter={quoted(text)}> is not a length; 1 is used")
         return 1.0
     return value
 
 
 class _DaeReader:
-    """One document while it is read."""
+    """Reader of one document."""
 
     def __init__(self, path: Path, root: Element, materials: _DaeMaterials, warn: Warn) -> None:
         self.path = path
@@ -103,14 +103,14 @@ class _DaeReader:
         self._pieces: dict[str, list[tuple[str, F64, I64, F64, F64 | None]]] = {}
 
     def parts(self, to_scene: F64) -> list[MeshPart]:
-        """Returns all parts under T_scene_file, (4, 4)."""
+        """Returns all parts, transformed by ``to_scene``, T_scene_file, (4, 4)."""
         instance = self.root.find("scene/instance_visual_scene")
         scene = None if instance is None else self.scenes.get(_ref(instance))
         if scene is None and self.scenes:
             scene = next(iter(self.scenes.values()))
         parts: list[MeshPart] = []
         if scene is None:
-            # Some exporters write no scene: every geometry is placed at the origin.
+            # Some exporters write no scene: place every geometry at the origin.
             for name in self.geometries:
                 parts += self._geometry(name, None, to_scene)
             return parts
@@ -128,26 +128,26 @@ class _DaeReader:
         for child in node:
             if child.tag in _TRANSFORMS:
                 matrix = matrix @ _TRANSFORMS[child.tag](_numbers(child.text))
-        here = (*path, id(node))
+        node_path = (*path, id(node))
         for child in node:
             if child.tag == "instance_geometry":
                 yield from self._geometry(_ref(child), child, matrix)
             elif child.tag == "instance_controller":
                 yield from self._controller(_ref(child), child, matrix)
             elif child.tag == "node":
-                yield from self._node(child, matrix, here)
+                yield from self._node(child, matrix, node_path)
             elif child.tag == "instance_node":
                 target = self.nodes.get(_ref(child))
                 if target is None:
                     self.warn(f"{self.path}: instance of node {quoted(child.get('url'))}, which is not in the file; left out")
                 else:
-                    yield from self._node(target, matrix, here)
+                    yield from self._node(target, matrix, node_path)
 
     def _controller(self, name: str, instance: Element, matrix: F64) -> list[MeshPart]:
         controller = self.controllers.get(name)
         skin = None if controller is None else controller.find("skin")
         if skin is None:
-            self.warn(f"{self.path}: controller {quoted(name)} is no skin; left out")
+            self.warn(f"{self.path}: controller {quoted(name)} is not a skin; left out")
             return []
         bind = skin.findtext("bind_shape_matrix")
         return self._geometry(skin.get("source", "").lstrip("#"), instance, matrix @ _matrix(_numbers(bind)) if bind else matrix)
@@ -159,10 +159,10 @@ class _DaeReader:
         if name not in self._pieces:
             mesh = self.geometries[name].find("mesh")
             self._pieces[name] = [] if mesh is None else _DaeGeometry(self.path, mesh, self.warn).pieces()
-        bound = self.materials.bound(instance)
+        bindings = self.materials.bound(instance)
         parts = []
         for symbol, vertices, triangles, normals, uvs in self._pieces[name]:
-            material = self.materials.get(bound.get(symbol, symbol)) if symbol else Material()
+            material = self.materials.get(bindings.get(symbol, symbol)) if symbol else Material()
             part = build_part(str(self.path), vertices, triangles, normals, uvs, material, matrix)
             if part is not None:
                 parts.append(part)
@@ -170,7 +170,7 @@ class _DaeReader:
 
 
 class _DaeGeometry:
-    """One <mesh> while it is read."""
+    """Reader of one <mesh>."""
 
     def __init__(self, path: Path, mesh: Element, warn: Warn) -> None:
         self.path = path
@@ -181,15 +181,15 @@ class _DaeGeometry:
 
     def pieces(self) -> list[tuple[str, F64, I64, F64, F64 | None]]:
         """Returns (material symbol, vertices (V, 3), triangles (F, 3), normals (V, 3), uvs (V, 2) or None) of each group of polygons."""
-        found = []
+        pieces = []
         for tag in _PRIMITIVES:
             for group in self.mesh.iterfind(tag):
                 piece = self._piece(group, tag)
                 if piece is not None:
-                    found.append((group.get("material", ""), *piece))
-        if not found and (self.mesh.find("lines") is not None or self.mesh.find("linestrips") is not None):
+                    pieces.append((group.get("material", ""), *piece))
+        if not pieces and (self.mesh.find("lines") is not None or self.mesh.find("linestrips") is not None):
             self.warn(f"{self.path}: lines are not drawn")
-        return found
+        return pieces
 
     def _piece(self, group: Element, tag: str) -> tuple[F64, I64, F64, F64 | None] | None:
         semantics, stride = self._inputs(group)
@@ -228,8 +228,8 @@ class _DaeGeometry:
             raise MeshError(f"{self.path}: a triangle names {what} {int(index.max())}, but there are {total}; the file is broken")
 
     def _inputs(self, group: Element) -> tuple[dict[str, tuple[int, F64]], int]:
-        """Returns offset and values (N, C) of each semantic, and the number of indices of a corner."""
-        found: dict[str, tuple[int, F64]] = {}
+        """Returns (offset, values (N, C)) of each semantic, and the number of indices per corner."""
+        inputs: dict[str, tuple[int, F64]] = {}
         texcoord_set = None
         stride = 0
         for item in group.iterfind("input"):
@@ -240,16 +240,16 @@ class _DaeGeometry:
                 for inner in self.mesh.iterfind("vertices/input"):
                     name = inner.get("semantic", "")
                     if name in ("POSITION", "NORMAL", "TEXCOORD"):
-                        found.setdefault(name, (offset, self._array(inner.get("source", "").lstrip("#"))))
+                        inputs.setdefault(name, (offset, self._array(inner.get("source", "").lstrip("#"))))
             elif semantic == "NORMAL":
-                found[semantic] = (offset, self._array(source))
+                inputs[semantic] = (offset, self._array(source))
             elif semantic == "TEXCOORD":
-                # Of several sets the diffuse texture uses the lowest one, in all files seen so far.
+                # Assume that the diffuse texture uses the lowest of several sets, as in all known files.
                 number = int(item.get("set", "0"))
                 if texcoord_set is None or number < texcoord_set:
                     texcoord_set = number
-                    found[semantic] = (offset, self._array(source))
-        return found, stride
+                    inputs[semantic] = (offset, self._array(source))
+        return inputs, stride
 
     def _array(self, name: str) -> F64:
         """Returns the values of a <source>, (N, stride) float64."""
@@ -274,13 +274,13 @@ class _DaeGeometry:
         return self._arrays[name]
 
     def _corners(self, group: Element, tag: str, stride: int) -> tuple[I64, I64]:
-        """Returns the indices of all corners (C, stride), and triangles (F, 3), whose values are rows of the first."""
+        """Returns the indices of all corners (C, stride), and triangles (F, 3) as rows of these."""
         lists = [_integers(p.text) for p in group.iterfind("p")]
         lists += [_integers(p.text) for p in group.iterfind("ph/p")]
         if not lists:
             return np.zeros((0, stride), np.int64), np.zeros((0, 3), np.int64)
         if any(len(one) % stride for one in lists):
-            raise MeshError(f"{self.path}: the indices of a <{tag}> are no multiple of {stride}; the file is cut or broken")
+            raise MeshError(f"{self.path}: the indices of a <{tag}> are not a multiple of {stride}; the file is cut or broken")
         corners = np.concatenate(lists).reshape(-1, stride)
         counts = np.array([len(one) // stride for one in lists], dtype=np.int64)
         if tag == "triangles":
@@ -300,7 +300,7 @@ class _DaeGeometry:
 
 
 class _DaeMaterials:
-    """All materials of one file, each read at its first use."""
+    """Materials of one file, each read at its first use."""
 
     def __init__(self, path: Path, root: Element, textures: TextureStore, files: list[Path], warn: Warn) -> None:
         self.path = path
@@ -313,13 +313,13 @@ class _DaeMaterials:
         self._known: dict[str, Material] = {}
 
     def bound(self, instance: Element | None) -> dict[str, str]:
-        """Returns the material id of each symbol that an <instance_geometry> binds."""
+        """Returns symbol -> material id, as bound by an <instance_geometry>."""
         if instance is None:
             return {}
         return {m.get("symbol", ""): m.get("target", "").lstrip("#") for m in instance.iter("instance_material")}
 
     def get(self, name: str) -> Material:
-        """Returns a material by id; light grey, with a warning, if there is none."""
+        """Returns a material by id; light grey, with a warning, if it does not exist."""
         if name not in self._known:
             self._known[name] = self._read(name)
         return self._known[name]
@@ -358,7 +358,7 @@ class _DaeMaterials:
         return Material(name, (*color[:3], alpha), texture, alpha_mode=mode)
 
     def _texture(self, effect: Element, name: str) -> TextureSource | None:
-        """Returns the image of a sampler (sampler -> surface -> image), whose name may also be the id of the image itself."""
+        """Returns the image of a sampler (sampler -> surface -> image); ``name`` may also be the id of the image itself."""
         for _ in range(3):
             if name in self._images:
                 break
@@ -366,8 +366,8 @@ class _DaeMaterials:
             if parameter is None:
                 break
             image = parameter.find(".//instance_image")
-            found = parameter.findtext("sampler2D/source") or parameter.findtext("surface/init_from")
-            name = (image.get("url", "").lstrip("#") if image is not None else found or "").strip()
+            source = parameter.findtext("sampler2D/source") or parameter.findtext("surface/init_from")
+            name = (image.get("url", "").lstrip("#") if image is not None else source or "").strip()
         if name not in self._images:
             self.warn(f"{self.path}: image {quoted(name)} is not in the file; the surface is drawn without it")
             return None
@@ -390,7 +390,7 @@ def _color(text: str | None) -> Rgba | None:
 def _alpha(shader: Element) -> float:
     """Returns the opacity, 0 to 1, by COLLADA 1.4.1, "Determining Transparency"; invisible surfaces count as opaque.
 
-    Exporters write both "0 = opaque" and "1 = opaque", with or without the attribute that tells which, but no invisible surfaces.
+    Exporters use both "0 = opaque" and "1 = opaque", with or without the attribute that specifies it, but do not write invisible surfaces.
     """
     transparent, factor = shader.find("transparent"), shader.findtext("transparency/float")
     if transparent is None and factor is None:
@@ -409,7 +409,7 @@ def _alpha(shader: Element) -> float:
 
 
 def _strip(start: int, count: int) -> I64:
-    """Returns the triangles (F, 3) of a strip of ``count`` corners from ``start`` on."""
+    """Returns the triangles (F, 3) of a strip of ``count`` corners that begins at ``start``."""
     k = start + np.arange(max(count - 2, 0))
     triangles = np.stack([k, k + 1, k + 2], axis=1)
     triangles[1::2] = triangles[1::2][:, [0, 2, 1]]

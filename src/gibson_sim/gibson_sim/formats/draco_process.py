@@ -1,6 +1,6 @@
-"""Decodes Draco meshes in a separate process with limited memory and time: a few bytes can demand gigabytes, or crash the decoder.
+"""Decodes Draco meshes in a separate process with limited memory and time: a small file can allocate gigabytes, or crash the decoder.
 
-Standard input: for each mesh its length, 8 bytes little-endian, and its bytes. Standard output: an archive of NumPy with, for mesh i,
+Standard input: for each mesh its length, 8 bytes little-endian, and its bytes. Standard output: a NumPy archive (.npz) with, for mesh i,
 ``i_faces`` (F, 3) and ``i_<id>`` (V, C) for each attribute by its unique id. An error is one line on standard error.
 """
 
@@ -13,9 +13,9 @@ import sys
 import numpy as np
 
 MEMORY_BYTES = 4 * 2**30
-"""Address space of the process."""
+"""Limit of the address space of the process, bytes."""
 SECONDS = 60
-"""CPU time of the process, seconds."""
+"""Limit of the CPU time of the process, seconds."""
 
 
 def main() -> int:
@@ -31,7 +31,7 @@ def main() -> int:
         length = int.from_bytes(data[at : at + 8], "little")
         try:
             mesh = DracoPy.decode(data[at + 8 : at + 8 + length])
-        # A decoder in C++ can throw anything.
+        # The C++ decoder can throw any exception.
         except Exception as error:
             sys.stderr.write(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}\n")
             return 1
@@ -40,9 +40,9 @@ def main() -> int:
         arrays |= {f"{number}_{item['unique_id']}": np.asarray(item["data"]) for item in mesh.attributes}
         at += 8 + length
         number += 1
-    draft = io.BytesIO()
-    np.savez(draft, **arrays)  # type: ignore[arg-type]
-    sys.stdout.buffer.write(draft.getvalue())
+    archive = io.BytesIO()
+    np.savez(archive, **arrays)  # type: ignore[arg-type]
+    sys.stdout.buffer.write(archive.getvalue())
     return 0
 
 

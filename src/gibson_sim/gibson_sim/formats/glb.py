@@ -1,4 +1,4 @@
-"""Builds binary glTF files: "GLB File Format Specification" in glTF 2.0, https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html."""
+"""Builds binary glTF 2.0 files (GLB), https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MIME_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 
 
 class GlbBuilder:
-    """A glTF file of one node with one mesh, built piece by piece. All methods that add something return its index."""
+    """Builder of a glTF file of one node with one mesh. All methods that add an object return its index."""
 
     def __init__(self) -> None:
         self._binary = bytearray()
@@ -37,13 +37,13 @@ class GlbBuilder:
         self._required: set[str] = set()
 
     def attribute(self, values: ArrayLike, dtype: DTypeLike = "f4", *, normalized: bool = False, bounds: bool = False) -> int:
-        """Adds an accessor of vertex attributes; every vertex starts at a multiple of 4 bytes.
+        """Adds an accessor of a vertex attribute; every vertex is aligned to 4 bytes.
 
         Args:
             values: (N, 2 to 4).
             dtype: component type of the file: i1, u1, i2, u2, u4 or f4.
-            normalized: integers stand for 0 to 1, or -1 to 1.
-            bounds: writes ``min`` and ``max``, which POSITION must have.
+            normalized: whether integers represent 0 to 1, or -1 to 1.
+            bounds: whether to write ``min`` and ``max``, which POSITION must have.
         """
         rows = np.asarray(values)
         width, component = rows.shape[1], np.dtype(dtype).newbyteorder("<")
@@ -62,14 +62,14 @@ class GlbBuilder:
         return self._accessor(flat, "SCALAR", flat.size, {"target": _ELEMENT_ARRAY_BUFFER}, {})
 
     def texture_file(self, uri: str) -> int:
-        """Adds a texture from an image file beside the GLB; the same file again is the same texture."""
+        """Adds a texture from an image file beside the GLB; equal files share one texture."""
         image = {"uri": uri}
         if image not in self._images:
             self._images.append(image)
         return self._images.index(image)
 
     def texture_data(self, encoded: bytes) -> int:
-        """Adds a texture from an encoded PNG or JPEG, which goes into the file."""
+        """Adds a texture from an encoded PNG or JPEG, which is embedded in the file."""
         mime_type = next((mime for magic, mime in _MIME_TYPES.items() if encoded.startswith(magic)), "image/png")
         self._images.append({"bufferView": self._view(encoded, {}), "mimeType": mime_type})
         return len(self._images) - 1
@@ -94,7 +94,7 @@ class GlbBuilder:
         """Returns the file.
 
         Args:
-            name: of the node.
+            name: name of the node.
             T_scene_mesh: (4, 4), in the axes of glTF (y up); None = identity.
         """
         node: dict[str, Any] = {"mesh": 0, "name": name}

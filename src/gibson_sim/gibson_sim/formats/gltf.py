@@ -1,7 +1,7 @@
 """Reads glTF 2.0, text and binary (GLB): geometry of the default scene and metallic-roughness materials.
 
-Skins, animations, cameras, lights and extensions of materials other than unlit, emissive strength and (in part) specular-glossiness
-are left out.
+Skins, animations, cameras, lights and material extensions other than unlit, emissive strength and (in part) specular-glossiness are
+ignored.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from gibson_sim.reading import read_file
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _MAX_BUFFER_BYTES = 2**30
-"""Largest size of a buffer file."""
+"""Maximum size of a buffer file, bytes."""
 _MAX_ELEMENTS = 100_000_000
-"""Elements of an accessor."""
+"""Maximum number of elements of an accessor."""
 _MAX_VALUES = 2_000_000
-"""Commas of the JSON; a house with 20,000 nodes has 1 million. Its size is no limit, since it may contain buffers as text."""
+"""Maximum number of commas in the JSON; a house with 20,000 nodes has 1 million. The size is not limited: buffers may be embedded as text."""
 _MAX_NODES = 100_000
 _NODES_PER_PART = 10
-"""Nodes for each part that is allowed: most nodes have no mesh, and each takes time."""
+"""Maximum number of nodes per allowed part: most nodes have no mesh, and each takes time."""
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _KNOWN_EXTENSIONS = {
     "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_pbrSpecularGlossiness",
@@ -56,7 +56,7 @@ _MAPS = {
 }
 """Name of a texture in the file -> field of ``Material``."""
 _UvMapping = tuple[int, dict[str, Any]]
-"""Number of the set of texture coordinates, and the KHR_texture_transform, empty = none."""
+"""Index of the set of texture coordinates, and the KHR_texture_transform, empty = none."""
 
 
 def load_gltf(
@@ -68,12 +68,12 @@ def load_gltf(
         path: the file.
         data: its content.
         textures: finds and decodes the images that it names.
-        files: list to which every further file that is read is appended.
-        warn: called with one line about everything that is left out or replaced.
-        max_parts: largest number of parts; None = any.
+        files: list to which the paths of further files that are read are appended.
+        warn: called with one line for each element that is left out or replaced.
+        max_parts: maximum number of parts; None = unlimited.
 
     Raises:
-        MeshError: the file is broken, needs an unknown extension, or has too many parts or nodes.
+        MeshError: the file is corrupt, needs an unknown extension, or has too many parts or nodes.
     """
     document, chunk = _split(path, data)
     version = str(document.get("asset", {}).get("version", ""))
@@ -86,7 +86,7 @@ def load_gltf(
 
 
 def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Returns the JSON document and the binary chunk, empty if there is none."""
+    """Returns the JSON document and the binary chunk, empty for a text file."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
             raise MeshError(f"{path}: is not a GLB file (it starts with {quoted(data[:4])}, must be b'glTF')")
@@ -111,13 +111,13 @@ def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
 def _json(path: Path, data: bytes) -> Any:
     values = data.count(b",")
     if values > _MAX_VALUES:
-        reason = f"has about {values} values of JSON, must have at most {_MAX_VALUES}; split it"
-        raise MeshError(f"{path}: {reason}").telling(reason)
+        reason = f"has about {values} JSON values, must have at most {_MAX_VALUES}; split it"
+        raise MeshError(f"{path}: {reason}").with_public(reason)
     return json.loads(data.decode("utf-8-sig"))
 
 
 class _GltfReader:
-    """One document while it is read."""
+    """Reader of one document."""
 
     def __init__(
         self, path: Path, document: dict[str, Any], chunk: bytes, textures: TextureStore, files: list[Path], warn: Warn
@@ -132,9 +132,9 @@ class _GltfReader:
         self._materials: dict[int, Material] = {}
         self._images: dict[int, Any] = {}
         self._draco: dict[int, DracoMesh] | None = None
-        """Buffer view -> mesh; None = not decoded yet."""
+        """Index of a buffer view -> mesh; None = not decoded yet."""
         self._decoded: dict[int, NDArray[Any]] = {}
-        """Accessor -> values from Draco, of the primitive that is being read."""
+        """Index of an accessor -> values from Draco, for the current primitive."""
         self._unpacked: dict[int, bytes] = {}
         self._unpacked_bytes = 0
 
@@ -146,14 +146,14 @@ class _GltfReader:
         nodes, allowed = len(self.document.get("nodes", [])), min(_MAX_NODES, _NODES_PER_PART * (most or _MAX_NODES))
         if nodes > allowed:
             reason = f"has {nodes} nodes, must have at most {allowed}; join its meshes"
-            raise MeshError(f"{self.path}: {reason}").telling(reason)
+            raise MeshError(f"{self.path}: {reason}").with_public(reason)
         for node, matrix in self._nodes():
             if "mesh" not in node:
                 continue
             for primitive in self._item("meshes", node["mesh"]).get("primitives", []):
                 if most is not None and len(parts) >= most:
                     reason = f"has more than {most} meshes in its nodes; join them before it is spawned, or load it as a world"
-                    raise MeshError(f"{self.path}: {reason}").telling(reason)
+                    raise MeshError(f"{self.path}: {reason}").with_public(reason)
                 part = self._primitive(primitive, matrix)
                 if part is not None:
                     parts.append(part)
@@ -222,11 +222,11 @@ class _GltfReader:
         return build_part(str(self.path), vertices, _triangles(indices, mode), normals, uvs, material, matrix, colors)
 
     def _draco_of(self, primitive: dict[str, Any]) -> DracoMesh | None:
-        """Returns the Draco mesh of a primitive, None = it is not compressed; all meshes of the file are decoded at the first call."""
+        """Returns the Draco mesh of a primitive, None = not compressed; the first call decodes all meshes of the file."""
         if DRACO not in primitive.get("extensions", {}):
             return None
         if "bufferView" in self._item("accessors", primitive["attributes"]["POSITION"]):
-            return None  # the file has it uncompressed too
+            return None  # the file also contains it uncompressed
         if self._draco is None:
             every = [p for mesh in self.document.get("meshes", []) for p in mesh.get("primitives", [])]
             views = dict.fromkeys(p["extensions"][DRACO]["bufferView"] for p in every if DRACO in p.get("extensions", {}))
@@ -235,8 +235,8 @@ class _GltfReader:
         return self._draco[primitive["extensions"][DRACO]["bufferView"]]
 
     def _draco_arrays(self, primitive: dict[str, Any], draco: DracoMesh) -> dict[int, NDArray[Any]]:
-        """Returns the values (V, C) of each accessor that Draco holds; their number must be that of the accessor."""
-        found: dict[int, NDArray[Any]] = {}
+        """Returns index of an accessor -> values (V, C), for the accessors in the Draco mesh; checks their shapes."""
+        arrays: dict[int, NDArray[Any]] = {}
         for name, number in primitive["extensions"][DRACO].get("attributes", {}).items():
             index = primitive["attributes"].get(name)
             if index is None or number not in draco.attributes:
@@ -245,13 +245,13 @@ class _GltfReader:
             shape = (accessor["count"], _WIDTHS[accessor["type"]])
             if values.shape != shape:
                 raise MeshError(f"{self.path}: Draco holds {name} of shape {values.shape}, must be {shape}; the file is broken")
-            found[index] = values
-        if primitive["attributes"]["POSITION"] not in found:
+            arrays[index] = values
+        if primitive["attributes"]["POSITION"] not in arrays:
             raise MeshError(f"{self.path}: a Draco mesh has no POSITION; the file is broken")
-        return found
+        return arrays
 
     def _attribute(self, name: str, attributes: dict[str, Any], count: int, width: int) -> NDArray[Any] | None:
-        """Returns an attribute (count, width) of vertices; None if the primitive does not have it."""
+        """Returns a vertex attribute (count, width); None if the primitive does not have it."""
         if name not in attributes:
             return None
         array = self._accessor(attributes[name])
@@ -260,14 +260,14 @@ class _GltfReader:
         return array
 
     def _colors(self, index: int, count: int) -> NDArray[np.uint8]:
-        """Returns the colours of vertices, (V, 3) uint8 sRGB, from the file's linear ones without their alpha."""
+        """Returns the vertex colours, (V, 3) uint8 sRGB, converted from the linear RGB of the file; drops alpha."""
         linear = self._accessor(index)
         if linear.shape[0] != count or linear.shape[1] not in (3, 4):
             raise MeshError(f"{self.path}: COLOR_0 has shape {linear.shape}, must be ({count}, 3 or 4); the file is broken")
         return srgb8_from_linear(linear[:, :3].astype(np.float64))
 
     def _accessor(self, index: int) -> NDArray[Any]:
-        """Returns the values of an accessor, (count, width); normalised integers as floats in [-1, 1] or [0, 1]."""
+        """Returns the values of an accessor, (count, width); normalised integers are converted to floats in [-1, 1] or [0, 1]."""
         accessor = self._item("accessors", index)
         dtype, width, count = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]], int(accessor["count"])
         if not 0 <= count <= _MAX_ELEMENTS:
@@ -282,9 +282,9 @@ class _GltfReader:
         sparse = accessor.get("sparse")
         if sparse:
             n = int(sparse["count"])
-            where, values = sparse["indices"], sparse["values"]
+            positions, values = sparse["indices"], sparse["values"]
             rows = self._view(
-                where["bufferView"], where.get("byteOffset", 0), np.dtype(_COMPONENTS[where["componentType"]]), n, 1
+                positions["bufferView"], positions.get("byteOffset", 0), np.dtype(_COMPONENTS[positions["componentType"]]), n, 1
             )
             array = array.copy()
             array[rows[:, 0].astype(np.int64)] = self._view(values["bufferView"], values.get("byteOffset", 0), dtype, n, width)
@@ -293,7 +293,7 @@ class _GltfReader:
         return array
 
     def _view(self, index: int, offset: int, dtype: np.dtype[Any], count: int, width: int) -> NDArray[Any]:
-        """Returns values (count, width) of a buffer view from byte ``offset`` on."""
+        """Returns values (count, width) of a buffer view, starting at byte ``offset``."""
         view = self._item("bufferViews", index)
         start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
         stride = int(view.get("byteStride", 0)) or dtype.itemsize * width
@@ -312,10 +312,12 @@ class _GltfReader:
         return np.ndarray((count, width), dtype, data, start + offset, (stride, dtype.itemsize))
 
     def _meshopt(self, packed: dict[str, Any]) -> bytes:
-        """Returns the bytes of a view that is compressed with meshoptimizer."""
+        """Returns the decoded bytes of a buffer view that is compressed with meshoptimizer."""
         self._unpacked_bytes += int(packed.get("count", 0)) * int(packed.get("byteStride", 0))
         if self._unpacked_bytes > MAX_DECODED_BYTES:
-            raise MeshError(f"{self.path}: its compressed buffers hold more than {MAX_DECODED_BYTES >> 20} MB; simplify the mesh")
+            raise MeshError(
+                f"{self.path}: its buffers have more than {MAX_DECODED_BYTES >> 20} MB when decompressed; simplify the mesh"
+            )
         start, length = int(packed.get("byteOffset", 0)), int(packed.get("byteLength", 0))
         return decode_meshopt(str(self.path), packed, self._slice(packed["buffer"], start, length))
 
@@ -353,7 +355,7 @@ class _GltfReader:
     # Materials
 
     def _material_of(self, primitive: dict[str, Any]) -> tuple[Material, int, F64 | None]:
-        """Returns the material of a primitive, the number of its set of texture coordinates, and the transform (3, 3) of these or None."""
+        """Returns the material of a primitive, the index of its set of texture coordinates, and their transform (3, 3) or None."""
         if "material" not in primitive:
             return Material(), 0, None
         index = primitive["material"]
@@ -384,14 +386,14 @@ class _GltfReader:
         return self._materials[index], mapping[0], _uv_matrix(mapping[1])
 
     def _with_surface(self, material: Material, source: dict[str, Any], mapping: _UvMapping) -> Material:
-        """Returns the material with its metallic, roughness and emissive factors and further textures."""
+        """Returns the material with metallic, roughness and emissive factors and the other textures."""
         maps: dict[str, Any] = {}
         for name, field in _MAPS.items():
             info = _map_info(source, name)
             if info is None:
                 continue
             if _uv_mapping(info) != mapping:
-                # A second set of coordinates for each vertex would cost all scenes memory, and few need it.
+                # A second set of coordinates for each vertex would take memory in all scenes, and few need it.
                 self.warn(
                     f"{self.path}: {name} of material {quoted(material.name)} has other texture coordinates than its base colour; left out"
                 )
@@ -399,20 +401,20 @@ class _GltfReader:
             maps[field] = self._texture(info["index"])
         pbr, extensions = source.get("pbrMetallicRoughness", {}), source.get("extensions", {})
         gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
-        # By the standard, a material without these keys is a rough metal; exporters that leave all of them out mean no metal.
+        # By the standard, a material without these keys is a rough metal; exporters that omit all of them mean a non-metal.
         unspecified = not {"metallicFactor", "roughnessFactor", "metallicRoughnessTexture"} & set(pbr)
         metallic, roughness = (0.0, 1.0) if unspecified else (pbr.get("metallicFactor", 1.0), pbr.get("roughnessFactor", 1.0))
         if unspecified and "glossinessFactor" in gloss:
             roughness = 1.0 - float(gloss["glossinessFactor"])
         strength = float(extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0))
-        red, green, blue = (_limited(c, math.inf) * _limited(strength, math.inf) for c in source.get("emissiveFactor", (0, 0, 0)))
+        red, green, blue = (_clamped(c, math.inf) * _clamped(strength, math.inf) for c in source.get("emissiveFactor", (0, 0, 0)))
         return replace(
             material,
-            metallic=_limited(metallic),
-            roughness=_limited(roughness),
+            metallic=_clamped(metallic),
+            roughness=_clamped(roughness),
             emissive=(red, green, blue),
             normal_scale=float(source.get("normalTexture", {}).get("scale", 1.0)),
-            occlusion_strength=_limited(source.get("occlusionTexture", {}).get("strength", 1.0)),
+            occlusion_strength=_clamped(source.get("occlusionTexture", {}).get("strength", 1.0)),
             **maps,
         )
 
@@ -444,19 +446,19 @@ class _GltfReader:
 
 
 def _map_info(source: dict[str, Any], name: str) -> dict[str, Any] | None:
-    """Returns the textureInfo of a material's texture, or None."""
+    """Returns the textureInfo of a texture of a material, or None."""
     holder = source.get("pbrMetallicRoughness", {}) if name == "metallicRoughnessTexture" else source
     info: dict[str, Any] | None = holder.get(name)
     return info
 
 
 def _uv_mapping(info: dict[str, Any]) -> _UvMapping:
-    """Returns the texture coordinates that a textureInfo uses."""
+    """Returns the mapping of a textureInfo."""
     transform = info.get("extensions", {}).get("KHR_texture_transform", {})
     return int(transform.get("texCoord", info.get("texCoord", 0))), {k: v for k, v in transform.items() if k != "texCoord"}
 
 
-def _limited(value: Any, high: float = 1.0) -> float:
+def _clamped(value: Any, high: float = 1.0) -> float:
     """Returns a number clamped to 0 and ``high``."""
     return min(max(float(value), 0.0), high)
 
@@ -488,7 +490,7 @@ def _triangles(indices: I64, mode: int) -> I64:
 
 
 def _uv_matrix(transform: dict[str, Any]) -> F64 | None:
-    """Returns the matrix (3, 3) of a KHR_texture_transform, whose rotation is counter-clockwise in the image (v downwards)."""
+    """Returns the matrix (3, 3) of a KHR_texture_transform, or None; its rotation is counter-clockwise in the image (v downwards)."""
     if not transform:
         return None
     c, s = math.cos(transform.get("rotation", 0.0)), math.sin(transform.get("rotation", 0.0))

@@ -1,4 +1,4 @@
-"""Decodes compressed glTF: meshes with Draco, buffers with meshoptimizer. Files are not trusted: every number is checked before its use."""
+"""Decodes compressed glTF: Draco meshes and meshoptimizer buffers. Files are not trusted: every number is checked before its use."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from gibson_sim.quoting import clipped, quoted
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 MAX_DECODED_BYTES = 2**30
-"""Decoded bytes of one file."""
+"""Maximum total size of the decoded buffers of one file, bytes."""
 _TIMEOUT_S = 120.0
 _WITHOUT_DRACO = "export the file without it, or convert it: npx @gltf-transform/cli copy in.glb out.glb"
 _FILTERS = {"NONE": (), "OCTAHEDRAL": (4, 8), "QUATERNION": (8,), "EXPONENTIAL": tuple(range(4, 257, 4))}
-"""Filter -> its strides, bytes; empty = any."""
+"""Filter -> its valid strides, bytes; empty = any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DracoMesh:
-    """A decoded mesh."""
+    """A decoded Draco mesh."""
 
     indices: NDArray[np.int64]
-    """(3 F,), corners of the triangles."""
+    """(3 F,), vertex indices of the corners of the triangles."""
     attributes: Mapping[int, NDArray[Any]]
-    """Unique id -> values of each vertex, (V, C)."""
+    """Unique id of an attribute -> values, (V, C)."""
 
 
 def decode_draco(where: str, meshes: Sequence[bytes]) -> list[DracoMesh]:
-    """Returns decoded Draco meshes; the decoder runs in a separate process, which may crash without harm.
+    """Returns decoded Draco meshes; decodes in a separate process, since the decoder may crash.
 
     Args:
         where: the file, for messages.
         meshes: the compressed bytes of each mesh.
 
     Raises:
-        MeshError: DracoPy is not installed, or a mesh is broken or too large; one line.
+        MeshError: DracoPy is not installed, or a mesh is corrupt or too large; one line.
     """
     if find_spec("DracoPy") is None:
         raise MeshError(f"{where}: is Draco compressed; install its decoder (pip install DracoPy), {_WITHOUT_DRACO}")
@@ -58,36 +58,36 @@ def decode_draco(where: str, meshes: Sequence[bytes]) -> list[DracoMesh]:
     }
     command = [sys.executable, "-m", "gibson_sim.formats.draco_process"]
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command, input=data, env=environment, cwd=os.sep, capture_output=True, timeout=_TIMEOUT_S, check=False
         )
     except subprocess.TimeoutExpired as error:
         raise MeshError(
             f"{where}: its Draco meshes were not decoded after {_TIMEOUT_S:g} s; the file is broken or too large"
         ) from error
-    if done.returncode:
-        lines = done.stderr.decode(errors="replace").strip().splitlines()
-        reason = clipped(lines[-1], 200) if lines else f"the decoder ended with code {done.returncode}"
+    if process.returncode:
+        lines = process.stderr.decode(errors="replace").strip().splitlines()
+        reason = clipped(lines[-1], 200) if lines else f"the decoder ended with code {process.returncode}"
         raise MeshError(f"{where}: a Draco mesh cannot be decoded ({reason}); the file is cut, broken, or too large")
     try:
-        with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
-            found = {name: arrays[name] for name in arrays.files}
+        with np.load(io.BytesIO(process.stdout), allow_pickle=False) as arrays:
+            output = {name: arrays[name] for name in arrays.files}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise MeshError(f"{where}: a Draco mesh cannot be decoded; the file is broken") from error
-    return [_draco_mesh(i, found) for i in range(len(meshes))]
+    return [_draco_mesh(i, output) for i in range(len(meshes))]
 
 
-def _draco_mesh(number: int, found: Mapping[str, NDArray[Any]]) -> DracoMesh:
+def _draco_mesh(number: int, output: Mapping[str, NDArray[Any]]) -> DracoMesh:
     """Returns a mesh from the output of ``draco_process``."""
-    start = f"{number}_"
+    prefix = f"{number}_"
     values = {
-        int(name[len(start) :]): array for name, array in found.items() if name.startswith(start) and name != f"{start}faces"
+        int(name[len(prefix) :]): array for name, array in output.items() if name.startswith(prefix) and name != f"{prefix}faces"
     }
-    return DracoMesh(found[f"{start}faces"].reshape(-1).astype(np.int64), {k: v.reshape(len(v), -1) for k, v in values.items()})
+    return DracoMesh(output[f"{prefix}faces"].reshape(-1).astype(np.int64), {k: v.reshape(len(v), -1) for k, v in values.items()})
 
 
 def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> bytes:
-    """Returns the bytes of a buffer view that is compressed with meshoptimizer.
+    """Returns the decoded bytes of a buffer view that is compressed with meshoptimizer.
 
     Args:
         where: the file, for messages.
@@ -95,7 +95,7 @@ def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> byt
         data: the compressed bytes.
 
     Raises:
-        MeshError: the parameters are not valid, or the data are broken; one line.
+        MeshError: the parameters are invalid, or the data are corrupt; one line.
     """
     count, stride = (int(extension.get(key, 0)) for key in ("count", "byteStride"))
     mode, kind = str(extension.get("mode", "")), str(extension.get("filter", "NONE"))
@@ -124,7 +124,7 @@ def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> byt
 
 
 def _invalid(mode: str, kind: str, count: int, stride: int) -> str:
-    """Returns the invalid parameters of a compressed buffer in words, empty = all are valid."""
+    """Returns a description of the invalid parameters of a compressed buffer, empty = all are valid."""
     if mode not in ("ATTRIBUTES", "TRIANGLES", "INDICES"):
         return f"mode {quoted(mode)}"
     if kind not in _FILTERS:

@@ -1,4 +1,4 @@
-"""Reads the size of an image from its header, so that images that are too large are not decoded."""
+"""Reads the size of an image from its header, so that images that are too large are rejected before decoding."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import struct
 from dataclasses import dataclass
 
 MAX_PIXELS = 8192 * 8192
-"""Pixels of a texture, 200 MB as RGB; larger images are refused before they are decoded."""
+"""Maximum number of pixels of a texture, 200 MB as RGB."""
 
 MAX_IMAGE_BYTES = 512 * 2**20
-"""Largest size of an image file."""
+"""Maximum size of an image file, bytes."""
 _MAX_SEGMENTS = 10_000
-"""Segments of a JPEG before its size; a file of fill bytes has one for each byte."""
+"""Maximum number of JPEG segments before the one with the size; each fill byte counts as one."""
 _JPEG_SIZES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 3, 2: 3, 3: 4, 4: 4, 6: 4}
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
@@ -24,15 +24,15 @@ class ImageHeader:
     """Size and channels of an image, from its header."""
 
     width: int
-    """Pixels."""
+    """Width, pixels."""
     height: int
-    """Pixels."""
+    """Height, pixels."""
     channels: int
     """Channels of the decoded image, 3 or 4."""
 
     @property
     def pixels(self) -> int:
-        """Width times height."""
+        """Number of pixels."""
         return self.width * self.height
 
     @property
@@ -42,7 +42,7 @@ class ImageHeader:
 
 
 def image_size(data: bytes) -> ImageHeader | None:
-    """Returns the header of a PNG, JPEG, WebP, BMP, GIF, TIFF, TGA, PNM or Radiance image, or None if the bytes are none of these."""
+    """Returns the header of a PNG, JPEG, WebP, BMP, GIF, TIFF, TGA, PNM or Radiance image, or None for other data."""
     try:
         return _size(data)
     except (struct.error, IndexError):
@@ -66,11 +66,11 @@ def _size(data: bytes) -> ImageHeader | None:
     if data[:4] in (b"II*\0", b"MM\0*"):
         return _tiff(data, "<" if data[:2] == b"II" else ">")
     if data.startswith(b"#?"):
-        found = _RADIANCE.search(data[:4096])
-        return None if found is None else ImageHeader(int(found[2]), int(found[1]), 3)
-    found = _PNM.match(data[:4096])
-    if found is not None:
-        return ImageHeader(int(found[1]), int(found[2]), 3)
+        match = _RADIANCE.search(data[:4096])
+        return None if match is None else ImageHeader(int(match[2]), int(match[1]), 3)
+    match = _PNM.match(data[:4096])
+    if match is not None:
+        return ImageHeader(int(match[1]), int(match[2]), 3)
     return _tga(data)
 
 
@@ -109,11 +109,11 @@ def _webp(data: bytes) -> ImageHeader | None:
 def _tiff(data: bytes, order: str) -> ImageHeader | None:
     (at,) = struct.unpack_from(f"{order}I", data, 4)
     (count,) = struct.unpack_from(f"{order}H", data, at)
-    found: dict[int, int] = {}
+    tags: dict[int, int] = {}
     for k in range(count):
         tag, kind = struct.unpack_from(f"{order}HH", data, at + 2 + 12 * k)
-        found[tag] = int(struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, at + 10 + 12 * k)[0])
-    return ImageHeader(found[256], found[257], 4 if found.get(277, 3) == 4 else 3) if 256 in found and 257 in found else None
+        tags[tag] = int(struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, at + 10 + 12 * k)[0])
+    return ImageHeader(tags[256], tags[257], 4 if tags.get(277, 3) == 4 else 3) if 256 in tags and 257 in tags else None
 
 
 def _tga(data: bytes) -> ImageHeader | None:

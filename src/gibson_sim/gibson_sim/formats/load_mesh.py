@@ -1,6 +1,6 @@
-"""Turns a ``Shape`` into triangles, a mesh file or a primitive, for drawing, maps and physics alike.
+"""Converts a ``Shape``, a mesh file or a primitive, to triangles, for rendering, maps and physics.
 
-A ``MeshLoader`` reads each file and decodes each image once during its life. Only primitives are cached globally.
+A ``MeshLoader`` reads each file and decodes each image once in its lifetime. Only primitives are cached globally.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import MeshError, TextError
 from gibson_sim.formats.dae import load_dae
-from gibson_sim.formats.file_roots import bounded, package_roots
+from gibson_sim.formats.file_roots import package_roots, without_file_system_root
 from gibson_sim.formats.gltf import load_gltf
 from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, Material, Mesh, MeshPart, TextureSource, UpAxis
 from gibson_sim.formats.obj import load_obj
@@ -36,9 +36,9 @@ __all__ = [
 ]  # fmt: skip
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".stl", ".ply")
-"""Suffixes of mesh files that can be read, lower case."""
+"""Suffixes of supported mesh files, lower case."""
 SEGMENTS = 48
-"""Segments of the circles of primitives."""
+"""Number of segments of the circles of primitives."""
 _Geometry = tuple[F64, F64, F64, I64]
 """Vertices (V, 3), metres, normals (V, 3), uvs (V, 2), triangles (F, 3)."""
 
@@ -50,8 +50,8 @@ class MeshLoader:
         allowed_roots: folders that meshes must lie in after following symbolic links; None = anywhere. Textures, materials and buffers
             that a mesh names must lie in these folders or in the package of the mesh (``file_roots``).
         textures: False = textures are checked for existence, with warnings, but not decoded; "sizes" = black images of the right size.
-        max_bytes: largest size of a mesh file; None = any.
-        max_parts: largest number of meshes in the nodes of a glTF; None = any.
+        max_bytes: maximum size of a mesh file, bytes; None = unlimited.
+        max_parts: maximum number of meshes in the nodes of a glTF; None = unlimited.
     """
 
     def __init__(
@@ -67,17 +67,17 @@ class MeshLoader:
         self.max_parts = max_parts
         self._textures = TextureStore((), textures)
         self._meshes: dict[Path, Mesh] = {}
-        # Both are looked up once: many meshes lie in few folders, and to follow links takes longer than to read a small mesh.
+        # Cached, since many meshes share few folders, and resolving links takes longer than reading a small mesh.
         self._packages: dict[tuple[Path, Path], tuple[Path, ...]] = {}
-        """Folder of a mesh, as given and resolved -> its packages."""
+        """(Folder of a mesh as given, resolved folder) -> its packages."""
         self._real_roots: dict[Path, str] = {}
-        """One of the roots -> what it resolves to."""
+        """Root -> its resolved path."""
 
     def mesh(self, path: Path) -> Mesh:
         """Returns the mesh in a file, in its own frame, z up, metres.
 
         Raises:
-            MeshError: the file is missing, outside the allowed folders, of an unknown format or broken.
+            MeshError: the file is missing, outside the allowed folders, of an unknown format, or corrupt.
         """
         real = Path(os.path.realpath(path))
         if real not in self._meshes:
@@ -85,14 +85,14 @@ class MeshLoader:
         return self._meshes[real]
 
     def image_bytes(self, texture: TextureSource) -> bytes:
-        """Returns the content of the image file of a texture that this loader read with ``textures`` "sizes"."""
+        """Returns the encoded image of a texture that this loader has read with ``textures`` "sizes"."""
         return self._textures.encoded(texture)
 
     def shape(self, shape: Shape) -> Mesh:
-        """Returns the triangles of a shape, metres, in its frame: its mesh file under its scale, or the primitive.
+        """Returns the triangles of a shape, metres, in its frame: its scaled mesh file, or the primitive.
 
         Raises:
-            MeshError: the mesh cannot be read, or a size is not valid.
+            MeshError: the mesh cannot be read, or a size is invalid.
         """
         if shape.kind != "mesh":
             return primitive_mesh(shape)
@@ -117,8 +117,8 @@ class MeshLoader:
         except MeshError:
             raise
         except TextError as e:
-            raise MeshError(f"{path}: {e}").telling(e.public) from e
-        # A broken file can make a parser raise any of these.
+            raise MeshError(f"{path}: {e}").with_public(e.public) from e
+        # A corrupt file can cause any of these in a parser.
         except (
             ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError, MemoryError,
             OSError, struct.error, json.JSONDecodeError,
@@ -129,7 +129,7 @@ class MeshLoader:
         return mesh
 
     def _is_allowed(self, real: Path) -> bool:
-        """Returns whether a file, whose path is resolved, lies below one of the roots."""
+        """Returns whether a resolved path lies below one of the roots."""
         for root in self.roots or ():
             if root not in self._real_roots:
                 self._real_roots[root] = os.path.realpath(root)
@@ -147,7 +147,7 @@ class MeshLoader:
         suffix = path.suffix.lower()
         warnings: list[str] = []
         files = [real]
-        textures = self._textures.within(bounded((*self._packages_of(path, real), *(self.roots or ()))))
+        textures = self._textures.within(without_file_system_root((*self._packages_of(path, real), *(self.roots or ()))))
 
         def warn(text: str) -> None:
             if text not in warnings:
@@ -183,15 +183,15 @@ def load_shape(shape: Shape, allowed_roots: Sequence[Path] | None = None) -> Mes
 
     Args:
         shape: the shape.
-        allowed_roots: folders that its mesh must lie in; None = its path was checked before.
+        allowed_roots: folders that its mesh must lie in; None = its path has already been checked.
     """
     return MeshLoader(mesh_folders([shape]) if allowed_roots is None else allowed_roots).shape(shape)
 
 
 def mesh_folders(shapes: Iterable[Shape]) -> tuple[Path, ...]:
-    """Returns the folders of the mesh files of shapes, for a ``MeshLoader`` of files whose paths were checked before.
+    """Returns the folders of the mesh files of shapes, for a ``MeshLoader`` of files whose paths have already been checked.
 
-    For a symbolic link these are both the link's folder and that of its target.
+    For a symbolic link these are the folder of the link and that of its target.
     """
     files = {Path(shape.mesh) for shape in shapes if shape.kind == "mesh"}
     return tuple(sorted({folder for file in files for folder in (file.parent, Path(os.path.realpath(file)).parent)}))
@@ -199,18 +199,18 @@ def mesh_folders(shapes: Iterable[Shape]) -> tuple[Path, ...]:
 
 @lru_cache(maxsize=256)
 def primitive_mesh(shape: Shape) -> Mesh:
-    """Returns a box, sphere or cylinder (about z), centred at the origin, metres.
+    """Returns the mesh of a box, sphere or cylinder (about z), centred at the origin, metres.
 
     Raises:
-        MeshError: the shape is no primitive, or a size is not above 0.
+        MeshError: the shape is not a primitive, or a size is not above 0.
     """
-    makers: dict[str, Callable[[float, float, float], _Geometry]] = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
-    if shape.kind not in makers:
-        raise MeshError(f"shape {quoted(shape.kind)} is no primitive; known: {', '.join(makers)}")
-    needed = {"box": 3, "sphere": 1, "cylinder": 2}[shape.kind]
-    if not all(math.isfinite(s) and s > 0 for s in shape.size[:needed]):
-        raise MeshError(f"{shape.kind}: size is {tuple(shape.size)}, the first {needed} must be finite and above 0 (metres)")
-    vertices, normals, uvs, triangles = makers[shape.kind](*shape.size)
+    builders: dict[str, Callable[[float, float, float], _Geometry]] = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
+    if shape.kind not in builders:
+        raise MeshError(f"shape {quoted(shape.kind)} is not a primitive; known: {', '.join(builders)}")
+    size_count = {"box": 3, "sphere": 1, "cylinder": 2}[shape.kind]
+    if not all(math.isfinite(s) and s > 0 for s in shape.size[:size_count]):
+        raise MeshError(f"{shape.kind}: size is {tuple(shape.size)}, the first {size_count} must be finite and above 0 (metres)")
+    vertices, normals, uvs, triangles = builders[shape.kind](*shape.size)
     part = MeshPart(
         vertices.astype(np.float32), normals.astype(np.float32), uvs.astype(np.float32), triangles.astype(np.uint32), Material()
     )
@@ -234,9 +234,9 @@ def _box(x: float, y: float, z: float) -> _Geometry:
 
 
 def _circle() -> F64:
-    """Returns points on the unit circle, (SEGMENTS + 1, 2); the last equals the first exactly, so that closed surfaces have no gap."""
-    around = 2 * math.pi * (np.arange(SEGMENTS + 1) % SEGMENTS) / SEGMENTS
-    return np.column_stack([np.cos(around), np.sin(around)])
+    """Returns points on the unit circle, (SEGMENTS + 1, 2); the last is exactly equal to the first, so that closed surfaces have no gap."""
+    angle = 2 * math.pi * (np.arange(SEGMENTS + 1) % SEGMENTS) / SEGMENTS
+    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _grid(rows: int, columns: int) -> I64:
@@ -256,7 +256,7 @@ def _sphere(radius: float, _y: float, _z: float) -> _Geometry:
     normals = np.column_stack([level.ravel() * around[:, 0], level.ravel() * around[:, 1], np.cos(down).ravel()])
     triangles = _grid(rings + 1, SEGMENTS + 1)
     area = areas_of((radius * normals)[triangles])
-    # At the poles half of the triangles have no area.
+    # Half of the triangles at the poles have no area.
     return radius * normals, normals, np.stack([u.ravel(), v.ravel()], 1), triangles[area > 5e-10 * radius * radius]
 
 

@@ -1,4 +1,4 @@
-"""Meshes in memory, and the checks that all of them pass when they are built. Knows no file format."""
+"""Meshes in memory, and the checks that are applied when they are built. Independent of file formats."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 MATTE_ROUGHNESS = 0.9
-"""Least roughness of a matte surface, which is no metal either."""
+"""Minimum roughness of a matte surface, which is not a metal either."""
 LIGHT_GREY: Rgba = (0.8, 0.8, 0.8, 1.0)
-"""Colour of a surface without one in its file, sRGB and alpha."""
+"""Colour of surfaces whose file gives none, sRGB and alpha."""
 
 TO_Z_UP: dict[UpAxis, F64] = {
     "z": np.eye(3),
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "x": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
 }
-"""R_zup_file, (3, 3), by the up axis of the file (COLLADA 1.4.1, up_axis); exact, without rounding."""
+"""Up axis of the file -> R_zup_file, (3, 3) (COLLADA 1.4.1, up_axis); exact, without rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class TextureSource:
     """A decoded image. Parts with the same image share one object, so that ``id()`` identifies textures."""
 
     name: str
-    """File, or file and index for images inside a file."""
+    """Path of the image file, or file and index for an embedded image."""
     pixels: NDArray[np.uint8]
     """(H, W, 3) RGB or (H, W, 4) RGBA uint8, sRGB, row 0 = top."""
 
@@ -48,38 +48,38 @@ class Material:
 
     name: str = ""
     base_color: Rgba = LIGHT_GREY
-    """sRGB and alpha, each 0 to 1; multiplies the texture."""
+    """Base colour, sRGB and alpha, each 0 to 1; multiplies the texture."""
     texture: TextureSource | None = None
     unlit: bool = False
-    """Whether the colours include the light, so that shading is skipped (KHR_materials_unlit)."""
+    """Whether the colours include the light, so that no shading is applied (KHR_materials_unlit)."""
     alpha_mode: AlphaMode = "opaque"
     alpha_cutoff: float = 0.5
-    """Alpha below which nothing is drawn, for alpha_mode mask."""
+    """Alpha below which pixels are discarded, for alpha_mode mask."""
     double_sided: bool = True
     metallic: float = 0.0
-    """0 = plastic, wood, cloth; 1 = bare metal. Multiplies the blue channel of ``metallic_roughness_texture``."""
+    """Metalness: 0 = plastic, wood, cloth; 1 = bare metal. Multiplies the blue channel of ``metallic_roughness_texture``."""
     roughness: float = 1.0
-    """0 = a mirror, 1 = no highlight at all. Multiplies the green channel of ``metallic_roughness_texture``."""
+    """Roughness: 0 = a mirror, 1 = no highlights. Multiplies the green channel of ``metallic_roughness_texture``."""
     emissive: Vec3 = (0.0, 0.0, 0.0)
-    """Emitted light, linear RGB, may exceed 1; multiplies ``emissive_texture``. It does not light other surfaces."""
+    """Emitted light, linear RGB, may exceed 1; multiplies ``emissive_texture``. Does not light other surfaces."""
     normal_texture: TextureSource | None = None
     """Tangent-space normals as in glTF: +X right, +Y up in the image, linear."""
     normal_scale: float = 1.0
     """Factor on x and y of the normals."""
     metallic_roughness_texture: TextureSource | None = None
-    """Green = roughness, blue = metallic, linear."""
+    """Green = roughness, blue = metalness, linear."""
     emissive_texture: TextureSource | None = None
-    """sRGB."""
+    """Emitted light, sRGB."""
     occlusion_texture: TextureSource | None = None
-    """Red = share of the ambient light that arrives, linear."""
+    """Red = unoccluded share of the ambient light, linear."""
     occlusion_strength: float = 1.0
     """Strength of the occlusion, 0 to 1."""
     colored: bool = False
-    """Whether the vertices have colours (``MeshPart.colors``), which multiply ``base_color`` in place of a texture."""
+    """Whether vertex colours (``MeshPart.colors``) multiply ``base_color`` in place of a texture."""
 
     @property
     def has_maps(self) -> bool:
-        """Whether it is lit and has textures other than that of its base colour."""
+        """Whether the material is lit and has textures other than that of its base colour."""
         maps = (self.normal_texture, self.metallic_roughness_texture, self.emissive_texture, self.occlusion_texture)
         return not self.unlit and any(m is not None for m in maps)
 
@@ -107,13 +107,13 @@ class Mesh:
 
     parts: tuple[MeshPart, ...]
     warnings: tuple[str, ...] = ()
-    """Things that were left out or replaced, one line each."""
+    """Elements that were left out or replaced, one line each."""
     files: tuple[Path, ...] = ()
     """Resolved paths of all files that were read, the mesh file first."""
     up_axis: UpAxis = "z"
-    """Up axis of the file or its format; ``vertices`` are rotated to z up already."""
+    """Up axis of the file or its format; ``vertices`` are already rotated to z up."""
     unit_m: float = 1.0
-    """Metres per unit of the file or its format; ``vertices`` are in metres already."""
+    """Metres per unit of the file or its format; ``vertices`` are already in metres."""
 
     @property
     def triangle_count(self) -> int:
@@ -122,7 +122,7 @@ class Mesh:
 
     @property
     def bounds(self) -> F64:
-        """(2, 3) float64: smallest and largest corner, metres."""
+        """Bounding box, (2, 3) float64: minimum and maximum corner, metres."""
         lows = [part.vertices.min(axis=0) for part in self.parts]
         highs = [part.vertices.max(axis=0) for part in self.parts]
         return np.array([np.min(lows, axis=0), np.max(highs, axis=0)], dtype=np.float64)
@@ -132,7 +132,7 @@ class Mesh:
         return merge([(part.vertices, part.triangles) for part in self.parts])
 
     def transformed(self, matrix: ArrayLike) -> Mesh:
-        """Returns the mesh under a (4, 4) affine transform, which may scale unevenly or mirror."""
+        """Returns the mesh transformed by a (4, 4) affine matrix, which may scale non-uniformly or mirror."""
         m = np.asarray(matrix, dtype=np.float64)
         parts = tuple(
             MeshPart(
@@ -149,7 +149,7 @@ class Mesh:
 
 
 def merge(pieces: Sequence[tuple[ArrayLike, ArrayLike]]) -> tuple[F64, NDArray[np.int32]]:
-    """Returns several pairs of vertices (V, 3) and triangles (F, 3) as one mesh, float64 and int32."""
+    """Merges pairs of vertices (V, 3) and triangles (F, 3) to one pair, float64 and int32."""
     vertices = [np.asarray(v, dtype=np.float64) for v, _ in pieces]
     starts = np.cumsum([0, *(len(v) for v in vertices)])
     triangles = [np.asarray(t, dtype=np.int64) + start for (_, t), start in zip(pieces, starts, strict=False)]
@@ -159,12 +159,12 @@ def merge(pieces: Sequence[tuple[ArrayLike, ArrayLike]]) -> tuple[F64, NDArray[n
 
 
 def apply(matrix: F64, points: ArrayLike) -> F64:
-    """Returns points (N, 3) under a (4, 4) affine transform."""
+    """Returns points (N, 3) transformed by a (4, 4) affine matrix."""
     return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def transform_normals(matrix: F64, normals: ArrayLike) -> F64:
-    """Returns unit normals (N, 3) of a surface under a (4, 4) affine transform; a zero normal stays zero."""
+    """Returns unit normals (N, 3) of a surface transformed by a (4, 4) affine matrix; a zero normal remains zero."""
     linear = matrix[:3, :3]
     # The cofactor matrix is det * inverse transpose; the sign of det keeps the normals of a mirrored surface outward.
     cofactors = np.stack([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
@@ -173,7 +173,7 @@ def transform_normals(matrix: F64, normals: ArrayLike) -> F64:
 
 
 def unit(vectors: ArrayLike) -> F64:
-    """Returns vectors (N, 3) scaled to length 1; zero vectors and NaN become zero."""
+    """Returns normalised vectors (N, 3); zero vectors and NaN become zero."""
     v = np.nan_to_num(np.asarray(vectors, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     length = np.linalg.norm(v, axis=1, keepdims=True)
     result: F64 = np.divide(v, length, out=np.zeros_like(v), where=length > 1e-30)
@@ -181,7 +181,7 @@ def unit(vectors: ArrayLike) -> F64:
 
 
 def area_normals(vertices: ArrayLike, triangles: ArrayLike) -> F64:
-    """Returns unit normals (V, 3) of vertices (V, 3): the area-weighted mean of the triangles (F, 3) around each; +z for isolated vertices."""
+    """Returns unit normals (V, 3) of vertices (V, 3): the area-weighted mean of those of adjacent triangles (F, 3); +z for isolated vertices."""
     v = np.asarray(vertices, dtype=np.float64)
     t = np.asarray(triangles, dtype=np.int64)
     faces = np.cross(v[t[:, 1]] - v[t[:, 0]], v[t[:, 2]] - v[t[:, 0]])
@@ -209,24 +209,24 @@ def build_part(
         what: the file, for messages.
         vertices: (V, 3), metres.
         triangles: (F, 3), whole numbers, rows of ``vertices``.
-        normals: (V, 3), or None to compute them; rows that are zero or NaN are computed too.
+        normals: (V, 3), or None = compute them; zero or NaN rows are also computed.
         uvs: (V, 2), v downwards, or None.
         material: the material.
-        matrix: (4, 4) affine transform to apply to the vertices and normals; None = the identity.
-        colors: (V, 3) uint8 sRGB of the vertices, or None; not used if the material has a texture.
+        matrix: (4, 4) affine transform of the vertices and normals; None = the identity.
+        colors: vertex colours, (V, 3) uint8 sRGB, or None; ignored if the material has a texture.
 
     Raises:
         MeshError: an index is out of range, or a coordinate is NaN or infinite.
     """
-    # Casting a signalling NaN would warn.
+    # Suppress the warning about the cast of a signalling NaN.
     with np.errstate(invalid="ignore"):
         v, n, uv = (None if array is None else np.asarray(array, dtype=np.float64) for array in (vertices, normals, uvs))
     t = np.asarray(triangles, dtype=np.int64)
     if v is None or not len(t):
         return None
     if t.min() < 0 or t.max() >= len(v):
-        wrong = int(t.min() if t.min() < 0 else t.max())
-        raise MeshError(f"{what}: a triangle names vertex {wrong}, but there are {len(v)}; the file is broken, export it again")
+        vertex = int(t.min() if t.min() < 0 else t.max())
+        raise MeshError(f"{what}: a triangle names vertex {vertex}, but there are {len(v)}; the file is broken, export it again")
     used = np.zeros(len(v), dtype=bool)
     used[t] = True
     if not used.all():
@@ -237,7 +237,7 @@ def build_part(
         uv = None if uv is None else uv[used]
         colors = None if colors is None else colors[used]
     if matrix is not None:
-        # Vertices that are not finite are refused below, with their row.
+        # Non-finite vertices are rejected below, with their row.
         with np.errstate(invalid="ignore", over="ignore"):
             v = apply(matrix, v)
         n = None if n is None else transform_normals(matrix, n)
@@ -256,7 +256,7 @@ def build_part(
 
 
 def _fill_normals(vertices: F64, triangles: I64, normals: F64 | None) -> F64:
-    """Returns unit normals (V, 3): those of the file, and computed ones where it has none."""
+    """Returns unit normals (V, 3): those of the file, computed where they are missing."""
     if normals is None:
         return area_normals(vertices, triangles)
     filled = unit(normals)
@@ -267,19 +267,19 @@ def _fill_normals(vertices: F64, triangles: I64, normals: F64 | None) -> F64:
 
 
 def index_corners(*columns: I64) -> tuple[I64, I64]:
-    """Merges corners that agree in every column.
+    """Merges corners that are equal in all columns.
 
     Args:
         columns: each (C,) int64: position index, uv index, ... of each corner.
 
     Returns:
-        The first corner of each group of equal ones, (V,), and the group of each corner, (C,).
+        The first corner of each group of equal corners, (V,), and the group of each corner, (C,).
     """
     key = np.zeros(len(columns[0]), dtype=np.int64)
     for column in columns:
         low = int(column.min()) if len(column) else 0
         span = (int(column.max()) - low + 1) if len(column) else 1
-        # Renumbering keeps the keys small, since a product of three index ranges could overflow.
+        # Renumber to keep the keys small, since a product of three index ranges could overflow.
         if int(key.max(initial=0)) * span > 2**62:
             key = np.unique(key, return_inverse=True)[1].astype(np.int64)
         key = key * span + (column - low)
@@ -288,7 +288,7 @@ def index_corners(*columns: I64) -> tuple[I64, I64]:
 
 
 def fan(counts: I64) -> I64:
-    """Returns the triangle fans (F, 3) of polygons with ``counts`` (P,) corners, as indices of the corners of all polygons in order."""
+    """Returns the triangle fans (F, 3) of polygons with ``counts`` (P,) corners, as indices into the concatenated corners of all polygons."""
     counts = np.asarray(counts, dtype=np.int64)
     starts = np.cumsum(counts) - counts
     per_polygon = np.maximum(counts - 2, 0)

@@ -30,7 +30,7 @@ _TEXTURE_OPTIONS = {
 
 @dataclass
 class _Faces:
-    """Triangles of one material: indices (F, 3) from 0, -1 = none."""
+    """Triangles of one material: zero-based indices (F, 3), -1 = not given."""
 
     positions: I64
     uvs: I64
@@ -44,11 +44,11 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
         path: the file.
         data: its content.
         textures: finds and decodes the images that it names.
-        files: list to which every further file that is read is appended.
-        warn: called with one line about everything that is left out or replaced.
+        files: list to which the paths of further files that are read are appended.
+        warn: called with one line for each element that is left out or replaced.
 
     Raises:
-        MeshError: the file is broken.
+        MeshError: the file is corrupt.
     """
     if b"\0" in data[:4096]:
         raise MeshError(f"{path}: is not an OBJ file: it is not text")
@@ -82,7 +82,7 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
 
 
 def _table(path: Path, lines: list[str], width: int) -> F64:
-    """Returns the first ``width`` numbers of every line, (N, width); missing ones are 0, as vt may have one number."""
+    """Returns the first ``width`` numbers of every line, (N, width); missing numbers are 0, since vt may have only one."""
     if not lines:
         return np.zeros((0, width))
     counts = {len(line.split()) for line in lines}
@@ -101,7 +101,7 @@ def _table(path: Path, lines: list[str], width: int) -> F64:
 
 
 def _colors(lines: list[str]) -> NDArray[np.uint8] | None:
-    """Returns the colours of vertices, (V, 3) uint8 sRGB, if every line has three more numbers, as scanners write them; else None."""
+    """Returns the vertex colours, (V, 3) uint8 sRGB, if every line has three further numbers, as in scans; else None."""
     if len(lines[0].split()) < 6:
         return None
     try:
@@ -118,23 +118,25 @@ def _colors(lines: list[str]) -> NDArray[np.uint8] | None:
 def _faces_by_material(
     path: Path, rows: dict[str, tuple[list[int], list[str]]], totals: tuple[int, int, int]
 ) -> dict[str, _Faces]:
-    """Returns the triangles of every material, with absolute indices.
+    """Returns material name -> triangles, with absolute indices.
 
     Faces are grouped by their pattern (``7/1/4 8/2/4 9/3/4`` has the pattern ``// // //``): a file has few patterns, and NumPy parses all
-    faces of one at once.
+    faces of a pattern at once.
     """
     numbers, texts = rows["f"]
     groups: dict[tuple[str, str], list[int]] = defaultdict(list)
     uses = rows["usemtl"]
-    owner = np.searchsorted(np.array(uses[0], dtype=np.int64), np.array(numbers, dtype=np.int64)) - 1
+    usemtl_row = np.searchsorted(np.array(uses[0], dtype=np.int64), np.array(numbers, dtype=np.int64)) - 1
     for k, text in enumerate(texts):
         pattern = " ".join(_NUMBER.sub("", text.partition("#")[0]).split(" ")).strip()
-        groups[(uses[1][owner[k]] if owner[k] >= 0 else "", pattern + f" {len(text.partition('#')[0].split())}")].append(k)
+        groups[
+            (uses[1][usemtl_row[k]] if usemtl_row[k] >= 0 else "", pattern + f" {len(text.partition('#')[0].split())}")
+        ].append(k)
     # A negative index counts back from the last vertex before the line of the face.
-    read = [
+    defined = [
         np.searchsorted(np.array(rows[key][0], dtype=np.int64), np.array(numbers, dtype=np.int64)) for key in ("v", "vt", "vn")
     ]
-    found: dict[str, list[_Faces]] = defaultdict(list)
+    faces: dict[str, list[_Faces]] = defaultdict(list)
     for (material, _), members in groups.items():
         columns = _columns(path, [texts[k].partition("#")[0] for k in members])
         n_corners = columns.shape[1]
@@ -144,29 +146,29 @@ def _faces_by_material(
         index = []
         for column in range(3):
             values = columns[:, :, column]
-            so_far = read[column][members][:, None]
-            absolute = np.where(values > 0, values - 1, np.where(values < 0, values + so_far, -1))
-            given = absolute[values != 0]
-            if len(given) and (given.min() < 0 or given.max() >= totals[column]):
+            defined_before = defined[column][members][:, None]
+            absolute = np.where(values > 0, values - 1, np.where(values < 0, values + defined_before, -1))
+            used = absolute[values != 0]
+            if len(used) and (used.min() < 0 or used.max() >= totals[column]):
                 raise MeshError(
-                    f"{path}: a face names {('vertex', 'texture coordinate', 'normal')[column]} {int(given.max()) + 1}, "
+                    f"{path}: a face names {('vertex', 'texture coordinate', 'normal')[column]} {int(used.max()) + 1}, "
                     f"but there are {totals[column]}; the OBJ is broken"
                 )
             index.append(absolute.ravel()[corners])
-        found[material].append(_Faces(*index))
+        faces[material].append(_Faces(*index))
     return {
-        name: _Faces(*(np.concatenate([getattr(f, field) for f in many]) for field in ("positions", "uvs", "normals")))
-        for name, many in found.items()
+        name: _Faces(*(np.concatenate([getattr(f, field) for f in groups_of_faces]) for field in ("positions", "uvs", "normals")))
+        for name, groups_of_faces in faces.items()
     }
 
 
 def _columns(path: Path, texts: list[str]) -> I64:
-    """Returns v, vt and vn of faces of one pattern, (faces, corners, 3) int64, 0 = not given."""
+    """Returns the v, vt and vn indices of faces of one pattern, (faces, corners, 3) int64, 0 = not given."""
     words = texts[0].split()
     slashes = words[0].count("/")
     double = "//" in words[0]
     if any(w.count("/") != slashes or ("//" in w) != double for w in words):
-        raise MeshError(f"{path}: face {quoted(texts[0].strip())} mixes kinds of corners; the OBJ is broken")
+        raise MeshError(f"{path}: face {quoted(texts[0].strip())} mixes corner formats; the OBJ is broken")
     width = 2 if double else len([p for p in words[0].split("/") if p])
     try:
         values = np.array(" ".join(texts).replace("/", " ").split(), dtype=np.int64).reshape(len(texts), len(words), width)
@@ -179,7 +181,7 @@ def _columns(path: Path, texts: list[str]) -> I64:
 
 
 def _smooth_normals(path: Path, positions: F64, faces: dict[str, _Faces]) -> F64 | None:
-    """Returns a normal for each position, (N, 3), if a face lacks normals, else None; it is smooth across seams of the texture."""
+    """Returns vertex normals, (N, 3), that are smooth across texture seams, if a face lacks normals, else None."""
     if not any((face.normals < 0).any() for face in faces.values()):
         return None
     with np.errstate(invalid="ignore"):
@@ -215,12 +217,12 @@ def _part(
 
 
 def _names(line: str, path: Path) -> list[str]:
-    """Returns the .mtl files of an mtllib line: one name with spaces if that file exists, else several names."""
+    """Returns the .mtl file names of an mtllib line: one name with spaces if that file exists, else several names."""
     return [line] if is_file(local_path(line, path.parent)) or " " not in line else line.split()
 
 
 def _materials(path: Path, names: list[str], textures: TextureStore, files: list[Path], warn: Warn) -> dict[str, Material]:
-    found: dict[str, Material] = {}
+    materials: dict[str, Material] = {}
     for name in names:
         file = local_path(name, path.parent)
         if not is_inside(file, textures.roots):
@@ -240,18 +242,18 @@ def _materials(path: Path, names: list[str], textures: TextureStore, files: list
                 current = blocks.setdefault(rest.strip(), {})
             elif key and not key.startswith("#"):
                 current[key.lower()] = rest.strip()
-        found.update({key: _material(key, block, file, path, textures, files, warn) for key, block in blocks.items()})
-    return found
+        materials.update({key: _material(key, block, file, path, textures, files, warn) for key, block in blocks.items()})
+    return materials
 
 
 def _material(
     name: str, block: dict[str, str], mtl: Path, obj: Path, textures: TextureStore, files: list[Path], warn: Warn
 ) -> Material:
     uri = _texture_name(block.get("map_kd", ""))
-    # Paths are relative to the .mtl, but warnings and the search are those of the mesh.
+    # Paths are relative to the .mtl, but warnings and the search for missing textures use the mesh.
     texture = textures.from_uri(uri, mtl.parent / obj.name, files, warn) if uri else None
     alpha = _floats(block.get("d", ""), 1, (1.0,), mtl, warn)[0]
-    # Tr is not read: it means opacity to half of the exporters, and transparency to the others.
+    # Tr is ignored: it is opacity for some exporters, and transparency for others.
     color: Rgba = (1.0, 1.0, 1.0, alpha)
     if texture is None:
         r, g, b = _floats(block.get("kd", ""), 3, LIGHT_GREY[:3], mtl, warn)
@@ -270,7 +272,7 @@ def _material(
 
 
 def _floats(text: str, count: int, default: tuple[float, ...], mtl: Path, warn: Warn) -> tuple[float, ...]:
-    """Returns the last ``count`` numbers of a line, clamped to 0 and 1; the default if it is empty, or, with a warning, not readable."""
+    """Returns the last ``count`` numbers of a line, clamped to 0 to 1; the default if it is empty or, with a warning, invalid."""
     if not text:
         return default
     try:

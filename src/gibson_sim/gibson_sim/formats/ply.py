@@ -1,7 +1,6 @@
-"""Reads PLY, text and binary: triangles and polygons with normals, colours of vertices or a texture. Metres, z up are assumed.
+"""Reads PLY, text and binary: triangles and polygons with normals, vertex colours or a texture. Metres and z up are assumed.
 
-Format: http://paulbourke.net/dataformats/ply/. Colours of vertices come from scans and include the light of the room, so these surfaces are
-unlit.
+Format: http://paulbourke.net/dataformats/ply/. Vertex colours come from scans and include the light of the room, so these surfaces are unlit.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ _INDICES = ("vertex_indices", "vertex_index")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 POINT_CLOUD_ADVICE = (
-    "is a point cloud: there are no triangles to draw or to collide with. Make a mesh of it first, for example with MeshLab "
+    "is a point cloud, which has no triangles to draw or to collide with. Convert it to a mesh first, for example with MeshLab "
     "(Filters > Remeshing > Screened Poisson), CloudCompare (Plugins > PoissonRecon) or Open3D "
     "(TriangleMesh.create_from_point_cloud_poisson), and import that"
 )
-"""Message about a point cloud, after the name of the file."""
+"""Error message for a point cloud, without the name of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +39,7 @@ class _Property:
     name: str
     kind: str
     count_kind: str = ""
-    """Type of the length of a list; empty = the property is no list."""
+    """Type of the length of a list; empty = the property is not a list."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,29 +51,29 @@ class _Element:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ply:
-    """The content of a PLY file, not converted."""
+    """Content of a PLY file, unconverted."""
 
     vertex: Mapping[str, NDArray[Any]]
-    """Properties of the vertices by name, each (V,)."""
+    """Name of a vertex property -> values, (V,)."""
     corners: I64
-    """(C,): the vertices of all polygons, polygon by polygon."""
+    """Vertex indices of the corners of all polygons, concatenated, (C,)."""
     sizes: I64
-    """(P,): number of corners of each polygon."""
+    """Number of corners of each polygon, (P,)."""
     face: Mapping[str, NDArray[Any]]
-    """Properties of the polygons by name, each (P,), without lists."""
+    """Name of a polygon property -> values, (P,), without lists."""
     corner_uvs: F64 | None
-    """(C, 2), v upwards, or None."""
+    """Texture coordinates of the corners, (C, 2), v upwards, or None."""
     texture: str
-    """Name of the image file, empty = none."""
+    """Name of the texture file, empty = none."""
 
     @property
     def positions(self) -> F64:
-        """(V, 3), in the units of the file."""
+        """Vertex positions, (V, 3), in the units of the file."""
         return np.stack([np.asarray(self.vertex[axis], dtype=np.float64) for axis in "xyz"], axis=1)
 
     @property
     def colors(self) -> NDArray[np.uint8] | None:
-        """(V, 3) uint8 sRGB, or None."""
+        """Vertex colours, (V, 3) uint8 sRGB, or None."""
         names = next((n for n in (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
                       if all(k in self.vertex for k in n)), None)  # fmt: skip
         if names is None:
@@ -88,7 +87,7 @@ class Ply:
 
     @property
     def polygon_of_triangle(self) -> I64:
-        """(F,): the polygon of each row of ``fan(sizes)``."""
+        """Index of the polygon of each row of ``fan(sizes)``, (F,)."""
         return np.repeat(np.arange(len(self.sizes)), np.maximum(self.sizes - 2, 0))
 
 
@@ -99,11 +98,11 @@ def load_ply(path: Path, data: bytes, textures: TextureStore, files: list[Path],
         path: the file.
         data: its content.
         textures: finds and decodes the images that it names.
-        files: list to which every further file that is read is appended.
-        warn: called with one line about everything that is left out or replaced.
+        files: list to which the paths of further files that are read are appended.
+        warn: called with one line for each element that is left out or replaced.
 
     Raises:
-        MeshError: the file is broken, or a point cloud.
+        MeshError: the file is corrupt, or a point cloud.
     """
     ply = read_ply(path, data)
     part = ply_part(str(path), ply, fan(ply.sizes), _material(path, ply, textures, files, warn))
@@ -111,34 +110,43 @@ def load_ply(path: Path, data: bytes, textures: TextureStore, files: list[Path],
 
 
 def ply_part(what: str, ply: Ply, corner_triangles: I64, material: Material | None = None) -> MeshPart | None:
-    """Returns triangles of a PLY file as a part, metres, z up, or None if there are none.
+    """Returns triangles of a PLY file as a part, metres, z up, or None if ``corner_triangles`` is empty.
 
     Args:
         what: the file, for messages.
         ply: its content.
         corner_triangles: (F, 3), rows of ``ply.corners``.
-        material: the material; None = the colours of the vertices.
+        material: the material; None = the vertex colours.
     """
     triangles = ply.corners[corner_triangles]
     uvs, rows = _uvs(ply), None
     if ply.corner_uvs is not None:
-        # A vertex on a seam of the texture has several texture coordinates.
-        used = corner_triangles.ravel()
-        keys = np.rint(np.clip(np.nan_to_num(ply.corner_uvs[used]), -1e6, 1e6) * 65536.0).astype(np.int64)
-        first, inverse = index_corners(ply.corners[used], keys[:, 0], keys[:, 1])
-        rows, triangles, uvs = ply.corners[used][first], inverse.reshape(-1, 3), ply.corner_uvs[used][first]
+        # A vertex on a texture seam has several texture coordinates.
+        used_corners = corner_triangles.ravel()
+        keys = np.rint(np.clip(np.nan_to_num(ply.corner_uvs[used_corners]), -1e6, 1e6) * 65536.0).astype(np.int64)
+        first, inverse = index_corners(ply.corners[used_corners], keys[:, 0], keys[:, 1])
+        rows, triangles, uvs = ply.corners[used_corners][first], inverse.reshape(-1, 3), ply.corner_uvs[used_corners][first]
     if len(triangles) and (triangles.min() < 0 or (rows is None and triangles.max() >= len(ply.vertex["x"]))):
-        raise MeshError(f"{what}: a face names a vertex that is not there; there are {len(ply.vertex['x'])}; the file is broken")
-    chosen = slice(None) if rows is None else rows
+        raise MeshError(
+            f"{what}: a face names a vertex that does not exist; there are {len(ply.vertex['x'])}; the file is broken"
+        )
+    selection = slice(None) if rows is None else rows
     normals = None
     if all(k in ply.vertex for k in ("nx", "ny", "nz")):
-        normals = np.stack([np.asarray(ply.vertex[k], dtype=np.float64) for k in ("nx", "ny", "nz")], axis=1)[chosen]
+        normals = np.stack([np.asarray(ply.vertex[k], dtype=np.float64) for k in ("nx", "ny", "nz")], axis=1)[selection]
     colors = ply.colors
     if uvs is not None:
         uvs = np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1)
-    used_material = material or Material("vertex colours", (1.0, 1.0, 1.0, 1.0), unlit=True)
+    part_material = material or Material("vertex colours", (1.0, 1.0, 1.0, 1.0), unlit=True)
     return build_part(
-        what, ply.positions[chosen], triangles, normals, uvs, used_material, None, None if colors is None else colors[chosen]
+        what,
+        ply.positions[selection],
+        triangles,
+        normals,
+        uvs,
+        part_material,
+        None,
+        None if colors is None else colors[selection],
     )
 
 
@@ -150,7 +158,7 @@ def read_ply(path: Path, data: bytes) -> Ply:
         data: its bytes.
 
     Raises:
-        MeshError: the file is broken, cut, or a point cloud.
+        MeshError: the file is corrupt, truncated, or a point cloud.
     """
     tables, texture = _tables(path, data)
     vertex = tables.get("vertex", {})
@@ -162,32 +170,32 @@ def read_ply(path: Path, data: bytes) -> Ply:
         raise MeshError(f"{path}: {POINT_CLOUD_ADVICE} ({len(vertex['x'])} points)")
     corners, sizes = np.asarray(lists[0], dtype=np.int64), np.asarray(lists[1], dtype=np.int64)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertex["x"])):
-        wrong = int(corners.min() if corners.min() < 0 else corners.max())
+        index = int(corners.min() if corners.min() < 0 else corners.max())
         raise MeshError(
-            f"{path}: a face names vertex {wrong}, but there are {len(vertex['x'])}; the file is broken, export it again"
+            f"{path}: a face names vertex {index}, but there are {len(vertex['x'])}; the file is broken, export it again"
         )
     corner_uvs = None
     if "texcoord" in face and np.array_equal(face["texcoord"][1], 2 * sizes):
         corner_uvs = np.asarray(face["texcoord"][0], dtype=np.float64).reshape(-1, 2)
-    plain = {name: values for name, values in face.items() if not isinstance(values, tuple)}
-    return Ply(vertex, corners, sizes, plain, corner_uvs, texture)
+    scalars = {name: values for name, values in face.items() if not isinstance(values, tuple)}
+    return Ply(vertex, corners, sizes, scalars, corner_uvs, texture)
 
 
 def read_ply_tables(path: Path, data: bytes) -> dict[str, dict[str, Any]]:
-    """Returns the properties of each element of a PLY file: columns by name; a list is a pair of its values and the number of each row.
+    """Returns element -> property -> column of a PLY file; a list property is a pair of its concatenated values and the length of each row.
 
     Args:
         path: the file, for messages.
         data: its bytes.
 
     Raises:
-        MeshError: the file is broken or cut.
+        MeshError: the file is corrupt or truncated.
     """
     return _tables(path, data)[0]
 
 
 def _tables(path: Path, data: bytes) -> tuple[dict[str, dict[str, Any]], str]:
-    """Returns the properties of each element, and the name of the texture."""
+    """Returns the columns as ``read_ply_tables``, and the name of the texture."""
     binary, elements, texture, at = _header(path, data)
     tables: dict[str, dict[str, Any]] = {}
     words = None if binary else data[at:].split()
@@ -214,7 +222,7 @@ def _uvs(ply: Ply) -> F64 | None:
 
 
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
-    """Returns the byte order ("" = text), the elements, the name of the texture, and the offset of the content, bytes."""
+    """Returns the byte order ("" = text), the elements, the name of the texture, and the offset of the data, bytes."""
     if not data.startswith(b"ply"):
         raise MeshError(f"{path}: is not a PLY file (it starts with {quoted(data[:4])}, must be b'ply')")
     end = data.find(b"end_header", 0, _MAX_HEADER)
@@ -235,9 +243,7 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
         elif words[:1] == ["property"] and elements:
             elements[-1] = _with_property(path, elements[-1], words[1:])
     if order is None:
-        raise MeshError(
-            f"{path}: the header names no format that is known; known: ascii, binary_little_endian, binary_big_endian"
-        )
+        raise MeshError(f"{path}: the format in the header is unknown; known: ascii, binary_little_endian, binary_big_endian")
     return order, elements, texture, line_end + 1
 
 
@@ -254,21 +260,21 @@ def _with_property(path: Path, element: _Element, words: list[str]) -> _Element:
 
 def _binary_table(path: Path, element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
     lists = [p for p in element.properties if p.count_kind]
-    # Most files have triangles alone, or quads alone: all rows then have one layout and are read at once.
+    # Most files have only triangles, or only quads: all rows then have the same layout and are read at once.
     sizes = _first_sizes(element, data, at, order) if lists and element.count else [0] * len(lists)
     dtype = _row_type(element, sizes, order)
-    needed = element.count * dtype.itemsize
-    alike = at + needed <= len(data)
-    if alike:
+    size_bytes = element.count * dtype.itemsize
+    uniform = at + size_bytes <= len(data)
+    if uniform:
         rows = np.frombuffer(data, dtype=dtype, count=element.count, offset=at)
-        alike = all((rows[f"{p.name} n"] == size).all() for p, size in zip(lists, sizes, strict=True))
-    if alike:
+        uniform = all((rows[f"{p.name} n"] == size).all() for p, size in zip(lists, sizes, strict=True))
+    if uniform:
         table: dict[str, Any] = {p.name: rows[p.name] for p in element.properties if not p.count_kind}
         for p, size in zip(lists, sizes, strict=True):
             table[p.name] = (rows[p.name].ravel(), np.full(element.count, size, dtype=np.int64))
-        return table, at + needed
-    least = element.count * _row_type(element, [0] * len(lists), order).itemsize
-    if not lists or at + least > len(data):
+        return table, at + size_bytes
+    min_bytes = element.count * _row_type(element, [0] * len(lists), order).itemsize
+    if not lists or at + min_bytes > len(data):
         raise MeshError(f"{path}: {element.count} rows of {element.name} do not fit into {len(data)} bytes; the file is cut")
     return _uneven_table(path, element, data, at, order)
 
@@ -299,7 +305,7 @@ def _row_type(element: _Element, sizes: list[int], order: str) -> np.dtype[Any]:
 
 
 def _uneven_table(path: Path, element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
-    """Returns the table of rows of different lengths, read one by one, and the offset behind it, bytes."""
+    """Returns the table of rows of different lengths, read one by one, and the offset after it, bytes."""
     kinds = [(p, np.dtype(order + p.kind), np.dtype(order + p.count_kind) if p.count_kind else None) for p in element.properties]
     sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
     pieces: dict[str, list[bytes]] = {p.name: [] for p in element.properties}
@@ -323,30 +329,30 @@ def _uneven_table(path: Path, element: _Element, data: bytes, at: int, order: st
 
 
 def _as_kind(path: Path, what: str, column: NDArray[np.float64], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Returns numbers (N,) of a text file in the type that its header names.
+    """Returns numbers (N,) of a text file, converted to the type in its header.
 
     Raises:
         MeshError: a whole number is out of range.
     """
     if kind.kind in "iu" and len(column):
         limits = np.iinfo(kind)
-        beyond = ~((column >= limits.min) & (column <= limits.max))
-        if beyond.any():
-            raise MeshError(f"{path}: {quoted(what)} is {column[beyond][0]:g}, must be {limits.min} to {limits.max}")
-    with np.errstate(over="ignore"):  # numbers too large for single precision become infinite, which build_part refuses
+        out_of_range = ~((column >= limits.min) & (column <= limits.max))
+        if out_of_range.any():
+            raise MeshError(f"{path}: {quoted(what)} is {column[out_of_range][0]:g}, must be {limits.min} to {limits.max}")
+    with np.errstate(over="ignore"):  # numbers too large for single precision become infinite, which build_part rejects
         return column.astype(kind)
 
 
 def _numbers(path: Path, what: str, words: list[bytes]) -> NDArray[np.float64]:
-    """Returns the numbers that words (N,) of a text file are.
+    """Returns the words (N,) of a text file as numbers.
 
     Raises:
-        MeshError: one is none.
+        MeshError: a word is not a number.
     """
     try:
         return np.array(words, dtype=np.float64)
     except ValueError as e:
-        raise MeshError(f"{path}: {what} has something that is no number ({e}); the PLY is broken") from e
+        raise MeshError(f"{path}: {what} has a value that is not a number ({e}); the PLY is broken") from e
 
 
 def _count(path: Path, what: str, word: bytes) -> int:
@@ -354,7 +360,7 @@ def _count(path: Path, what: str, word: bytes) -> int:
         return int(word)
     except ValueError as e:
         raise MeshError(
-            f"{path}: the length of {quoted(what)} is {quoted(word.decode('utf-8', 'replace'))}, no whole number; the PLY is broken"
+            f"{path}: the length of {quoted(what)} is {quoted(word.decode('utf-8', 'replace'))}, not a whole number; the PLY is broken"
         ) from e
 
 
@@ -367,7 +373,7 @@ def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> t
         values = _numbers(path, element.name, words[at : at + element.count * width]).reshape(element.count, width)
         table = {p.name: _as_kind(path, p.name, values[:, k], np.dtype(p.kind)) for k, p in enumerate(element.properties)}
         return table, at + element.count * width
-    out: dict[str, Any] = {p.name: [] for p in element.properties}
+    columns: dict[str, Any] = {p.name: [] for p in element.properties}
     sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
     for _ in range(element.count):
         for p in element.properties:
@@ -376,11 +382,11 @@ def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> t
                 size, at = (_count(path, p.name, words[at]) if at < len(words) else -1), at + 1
             if size < 0 or at + size > len(words):
                 raise MeshError(f"{path}: ends in the middle of {element.name}; the file is cut")
-            out[p.name] += words[at : at + size]
+            columns[p.name] += words[at : at + size]
             sizes[p.name].append(size)
             at += size
-    done: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for p in element.properties:
-        column = _as_kind(path, p.name, _numbers(path, p.name, out[p.name]), np.dtype(p.kind))
-        done[p.name] = (column, np.array(sizes[p.name], dtype=np.int64)) if p.count_kind else column
-    return done, at
+        column = _as_kind(path, p.name, _numbers(path, p.name, columns[p.name]), np.dtype(p.kind))
+        result[p.name] = (column, np.array(sizes[p.name], dtype=np.int64)) if p.count_kind else column
+    return result, at

@@ -1,7 +1,7 @@
-"""Reads Gaussian splats: the PLY of 3D Gaussian Splatting, compressed PLY (PlayCanvas, SuperSplat) and SPZ; writes the first.
+"""Reads Gaussian splats: PLY of 3D Gaussian Splatting, compressed PLY (PlayCanvas, SuperSplat) and SPZ; writes the first.
 
-Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023. What the numbers in the files mean: the training code of
-that paper, https://github.com/playcanvas/splat-transform and https://github.com/nianticlabs/spz.
+Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023. The formats are defined by the training code of that paper,
+https://github.com/playcanvas/splat-transform and https://github.com/nianticlabs/spz.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ F32 = NDArray[np.float32]
 Table = Mapping[str, NDArray[Any]]
 
 SH_DC = 0.28209479177387814
-"""The spherical harmonic of degree 0."""
+"""Value of the spherical harmonic of degree 0."""
 MAX_SPLATS = 8_000_000
 MAX_BYTES = 2 * 2**30
-"""Size of a file, and of its content when it is unpacked."""
+"""Maximum size of a file, and of its decompressed content, bytes."""
 FARTHEST = 1e5
-"""Largest coordinate and largest standard deviation, units of the file."""
+"""Maximum absolute value of coordinates and standard deviations, units of the file."""
 ADVICE = "known are the PLY of 3D Gaussian Splatting, compressed PLY and SPZ; SuperSplat (https://superspl.at) and splat-transform convert others"
 
 _CHUNK = 256
-"""Splats of a chunk of a compressed PLY."""
+"""Number of splats in a chunk of a compressed PLY."""
 _SH_COUNTS = (0, 9, 24, 45)
-"""Numbers of the coefficients above degree 0, of three colours, by degree."""
+"""Number of coefficients above degree 0, for three colours, by degree."""
 _SPZ_MAGIC = b"NGSP"
 _GZIP_MAGIC = b"\x1f\x8b"
 _SPZ_SH_COUNTS = (0, 9, 24, 45, 72)
@@ -48,18 +48,18 @@ class Splats:
     """Gaussian splats, in the frame and the units of their file."""
 
     positions: F32
-    """(N, 3)."""
+    """Centres, (N, 3)."""
     scales: F32
-    """(N, 3), standard deviations along the axes of each splat, 0 or more."""
+    """Standard deviations along the axes of each splat, (N, 3), 0 or more."""
     quats_xyzw: F32
-    """(N, 4), unit quaternions: from the axes of each splat to the frame of the file."""
+    """Unit quaternions from the axes of each splat to the frame of the file, (N, 4)."""
     opacities: F32
-    """(N,), 0 to 1, at the centre."""
+    """Opacities at the centre, (N,), 0 to 1."""
     sh: F32
-    """(N, K, 3): coefficients of K = 1, 4, 9 or 16 spherical harmonics, for red, green and blue (sRGB) minus 0.5, by the direction from the
-    eye to the splat in the frame of the file."""
+    """Coefficients of K = 1, 4, 9 or 16 spherical harmonics, (N, K, 3), for red, green and blue (sRGB) minus 0.5, as a function of the direction
+    from the eye to the splat in the frame of the file."""
     up_axis: UpAxis = "z"
-    """Up axis of the format. PLY says nothing: z."""
+    """Up axis of the format; z for PLY, which does not define it."""
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -74,7 +74,7 @@ def load_splats(path: Path) -> Splats:
     """Returns the splats in a file.
 
     Raises:
-        MeshError: the file cannot be read, is of another kind, cut or broken.
+        MeshError: the file cannot be read, or is of another format, truncated or corrupt.
     """
     try:
         data = read_file(path, MAX_BYTES)
@@ -84,10 +84,10 @@ def load_splats(path: Path) -> Splats:
 
 
 def up_axis_of(path: Path) -> UpAxis:
-    """Returns the up axis of the format of a file of splats, of which the beginning is read alone.
+    """Returns the up axis of the format of a splat file; reads only its beginning.
 
     Raises:
-        MeshError: the file cannot be read, or is of another kind.
+        MeshError: the file cannot be read, or is of another format.
     """
     try:
         head = read_head(path, 4)
@@ -97,7 +97,7 @@ def up_axis_of(path: Path) -> UpAxis:
         return "z"
     if head.startswith((_GZIP_MAGIC, _SPZ_MAGIC)):
         return "y"
-    raise MeshError(f"{path}: is no file of splats; {ADVICE}")
+    raise MeshError(f"{path}: is not a file of splats; {ADVICE}")
 
 
 def read_splats(path: Path, data: bytes) -> Splats:
@@ -105,21 +105,23 @@ def read_splats(path: Path, data: bytes) -> Splats:
 
     Args:
         path: the file, for messages.
-        data: its content, which decides on its kind.
+        data: its content, from which the format is detected.
 
     Raises:
-        MeshError: the content is of another kind, cut or broken.
+        MeshError: the content is of another format, truncated or corrupt.
     """
     if data.startswith(b"ply"):
         return _checked(path, _from_ply(path, data))
     if data.startswith((_GZIP_MAGIC, _SPZ_MAGIC)):
         return _checked(path, _from_spz(path, data))
-    raise MeshError(f"{path}: is no file of splats; {ADVICE}")
+    raise MeshError(f"{path}: is not a file of splats; {ADVICE}")
 
 
 def splats_ply(splats: Splats) -> bytes:
-    """Returns the PLY of 3D Gaussian Splatting, binary, little endian."""
-    rest = splats.sh[:, 1:].transpose(0, 2, 1).reshape(len(splats), -1)  # colour by colour
+    """Returns the splats as a PLY of 3D Gaussian Splatting, binary, little-endian."""
+    rest = (
+        splats.sh[:, 1:].transpose(0, 2, 1).reshape(len(splats), -1)
+    )  # file order: all coefficients of red, then green, then blue
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(rest.shape[1])), "opacity"]
     names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     with np.errstate(divide="ignore"):
@@ -136,20 +138,20 @@ def _checked(path: Path, splats: Splats) -> Splats:
     """Returns the splats with unit quaternions.
 
     Raises:
-        MeshError: a number is impossible.
+        MeshError: a value is NaN or too large.
     """
     limits = ((splats.positions, "position"), (splats.scales, "scale"), (splats.quats_xyzw, "rotation"), (splats.sh, "colour"))
     for values, what in (*limits, (splats.opacities, "opacity")):
-        wrong = ~(np.abs(values) <= FARTHEST).reshape(len(splats), -1).all(axis=1)
-        if wrong.any():
-            row = int(wrong.argmax())
-            found = " ".join(f"{number:g}" for number in np.atleast_1d(values[row]).ravel()[:4])
+        invalid = ~(np.abs(values) <= FARTHEST).reshape(len(splats), -1).all(axis=1)
+        if invalid.any():
+            row = int(invalid.argmax())
+            values_text = " ".join(f"{number:g}" for number in np.atleast_1d(values[row]).ravel()[:4])
             raise MeshError(
-                f"{path}: the {what} of {np.count_nonzero(wrong)} of {len(splats)} splats is NaN or beyond {FARTHEST:g} (splat {row}: {found}); "
-                "the file is broken: clean it in SuperSplat"
+                f"{path}: the {what} of {np.count_nonzero(invalid)} of {len(splats)} splats is NaN or beyond {FARTHEST:g} (splat {row}: "
+                f"{values_text}); the file is broken: clean it in SuperSplat"
             )
     lengths = np.linalg.norm(splats.quats_xyzw, axis=1, keepdims=True)
-    # A rotation of length 0 is none; the splats of such files are round.
+    # A quaternion of length 0 is replaced by the identity; the splats of such files are spheres.
     identity = np.array([0.0, 0.0, 0.0, 1.0], dtype=np.float32)
     quats = np.where(lengths > 1e-12, splats.quats_xyzw / np.maximum(lengths, 1e-12), identity).astype(np.float32)
     return Splats(splats.positions, splats.scales, quats, splats.opacities, splats.sh, splats.up_axis)
@@ -168,8 +170,8 @@ def _from_ply(path: Path, data: bytes) -> Splats:
     vertex: Table = tables.get("vertex", {})
     if "chunk" in tables and "packed_position" in vertex:
         return _from_compressed(path, tables["chunk"], vertex, tables.get("sh", {}))
-    needed = ("x", "y", "z", "f_dc_0", "opacity", "scale_0", "rot_0")
-    missing = [name for name in needed if name not in vertex]
+    required = ("x", "y", "z", "f_dc_0", "opacity", "scale_0", "rot_0")
+    missing = [name for name in required if name not in vertex]
     if missing:
         what = "is a mesh" if "face" in tables else "is a point cloud" if "x" in vertex else "is another PLY"
         raise MeshError(f"{path}: {what}, not splats: its vertices have no {', '.join(missing)}; {ADVICE}")
@@ -185,7 +187,7 @@ def _from_ply(path: Path, data: bytes) -> Splats:
 
 
 def _columns(path: Path, table: Table, names: list[str]) -> F32:
-    """Returns columns of a table, (N, len(names))."""
+    """Returns columns of a table as an array (N, len(names))."""
     missing = [name for name in names if name not in table]
     if missing:
         raise MeshError(f"{path}: the splats have no {', '.join(missing)}; the PLY is broken")
@@ -194,7 +196,7 @@ def _columns(path: Path, table: Table, names: list[str]) -> F32:
 
 
 def _rest(path: Path, table: Table) -> F32:
-    """Returns the coefficients above degree 0, (N, 0, 3), (N, 3, 3), (N, 8, 3) or (N, 15, 3); files have them colour by colour."""
+    """Returns the coefficients above degree 0, (N, 0, 3), (N, 3, 3), (N, 8, 3) or (N, 15, 3); files store them colour by colour."""
     count = sum(name.startswith("f_rest_") for name in table)
     if count not in _SH_COUNTS:
         raise MeshError(f"{path}: has {count} columns f_rest_, must have {', '.join(map(str, _SH_COUNTS))}")
@@ -216,7 +218,7 @@ def _sigmoid(values: F32) -> F32:
 
 
 def _from_compressed(path: Path, chunk: Table, vertex: Table, rest: Table) -> Splats:
-    """Returns the splats of a compressed PLY: each chunk of 256 has limits, between which its splats have numbers of few bits."""
+    """Returns the splats of a compressed PLY: each chunk of 256 has a value range, in which the values of its splats are quantised."""
     count = len(vertex["packed_position"])
     _check_count(path, count)
     chunks = -(-count // _CHUNK)
@@ -232,27 +234,27 @@ def _from_compressed(path: Path, chunk: Table, vertex: Table, rest: Table) -> Sp
         packed.append(np.asarray(column, dtype=np.uint32))
     row = np.arange(count) // _CHUNK
 
-    def between(parts: F32, names: list[str]) -> F32:
+    def interpolated(fractions: F32, names: list[str]) -> F32:
         low, high = (_columns(path, chunk, [f"{end}_{name}" for name in names])[row] for end in ("min", "max"))
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(low * (1.0 - parts) + high * parts, dtype=np.float32)
+            return np.asarray(low * (1.0 - fractions) + high * fractions, dtype=np.float32)
 
     position, rotation, scale, color = packed
     colors = np.stack([_bits(color, shift, 8) for shift in (24, 16, 8, 0)], axis=1)
-    rgb = between(colors[:, :3], ["r", "g", "b"]) if "min_r" in chunk else colors[:, :3]
+    rgb = interpolated(colors[:, :3], ["r", "g", "b"]) if "min_r" in chunk else colors[:, :3]
     higher = _rest(path, rest) if rest else np.zeros((count, 0, 3), dtype=np.float32)
     if len(higher) != count:
         raise MeshError(f"{path}: {count} splats have {len(higher)} rows of spherical harmonics; the compressed PLY is broken")
     if rest:
-        # Bytes of 256 steps from -4 to 4; the first and the last one mean the ends.
-        parts = np.where(higher == 0.0, 0.0, np.where(higher == 255.0, 1.0, (higher + 0.5) / 256.0))
-        higher = np.asarray((parts - 0.5) * 8.0, dtype=np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused by _checked
+        # Bytes in 256 steps from -4 to 4; the first and the last value are the exact ends.
+        fractions = np.where(higher == 0.0, 0.0, np.where(higher == 255.0, 1.0, (higher + 0.5) / 256.0))
+        higher = np.asarray((fractions - 0.5) * 8.0, dtype=np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite values are rejected by _checked
         sh = np.concatenate([((rgb - 0.5) / SH_DC)[:, None], higher], axis=1).astype(np.float32)
     return Splats(
-        between(_bits_11_10_11(position), list("xyz")),
-        _exp(between(_bits_11_10_11(scale), ["scale_x", "scale_y", "scale_z"])),
-        _largest_three(
+        interpolated(_bits_11_10_11(position), list("xyz")),
+        _exp(interpolated(_bits_11_10_11(scale), ["scale_x", "scale_y", "scale_z"])),
+        _smallest_three(
             rotation >> np.uint32(30),
             np.stack([_bits(rotation, shift, 10) - 0.5 for shift in (20, 10, 0)], axis=1) * 2.0**0.5,
             "wxyz",
@@ -263,22 +265,22 @@ def _from_compressed(path: Path, chunk: Table, vertex: Table, rest: Table) -> Sp
 
 
 def _bits(packed: NDArray[np.uint32], shift: int, bits: int) -> F32:
-    """Returns some bits of each number, 0 to 1."""
-    most = (1 << bits) - 1
-    return np.asarray(((packed >> np.uint32(shift)) & np.uint32(most)) / np.float32(most), dtype=np.float32)
+    """Returns a bit field of each number, normalised to 0 to 1."""
+    mask = (1 << bits) - 1
+    return np.asarray(((packed >> np.uint32(shift)) & np.uint32(mask)) / np.float32(mask), dtype=np.float32)
 
 
 def _bits_11_10_11(packed: NDArray[np.uint32]) -> F32:
     return np.stack([_bits(packed, 21, 11), _bits(packed, 11, 10), _bits(packed, 0, 11)], axis=1)
 
 
-def _largest_three(largest: NDArray[np.uint32], others: NDArray[Any], order: str) -> F32:
-    """Returns quaternions (x, y, z, w) from the number of their largest component and the three others, (N, 3), in their order.
+def _smallest_three(largest: NDArray[np.uint32], others: NDArray[Any], order: str) -> F32:
+    """Returns quaternions (x, y, z, w), (N, 4), from the "smallest three" encoding.
 
     Args:
-        largest: (N,).
-        others: (N, 3).
-        order: of the components in the file, ``xyzw`` or ``wxyz``.
+        largest: index of the largest component, which is omitted, (N,).
+        others: the other three components, (N, 3).
+        order: order of the components in the file, ``xyzw`` or ``wxyz``.
     """
     count = len(largest)
     quats = np.zeros((count, 4), dtype=np.float32)
@@ -289,7 +291,7 @@ def _largest_three(largest: NDArray[np.uint32], others: NDArray[Any], order: str
 
 
 def _from_spz(path: Path, data: bytes) -> Splats:
-    """Returns the splats of an SPZ file. Its frame is right, up, back."""
+    """Returns the splats of an SPZ file, whose axes are right, up, back."""
     if data.startswith(_SPZ_MAGIC):
         version, count, bits, sections = _spz_streams(path, data)
     else:
@@ -323,14 +325,14 @@ def _spz_rotations(version: int, count: int, data: NDArray[np.uint8]) -> F32:
     packed: NDArray[np.uint32] = data.view("<u4")
     parts = [(packed >> np.uint32(shift)) & np.uint32(1023) for shift in (20, 10, 0)]
     signed = [np.where(part & 512, -1.0, 1.0) * (part & 511) / 511.0 for part in parts]
-    return _largest_three(packed >> np.uint32(30), np.stack(signed, axis=1) * 0.5**0.5, "xyzw")
+    return _smallest_three(packed >> np.uint32(30), np.stack(signed, axis=1) * 0.5**0.5, "xyzw")
 
 
 def _spz_sizes(path: Path, version: int, count: int, degree: int) -> list[int]:
     """Returns the sizes of the sections, bytes.
 
     Raises:
-        MeshError: the header has an impossible value.
+        MeshError: the header has an invalid value.
     """
     if version not in (1, 2, 3, 4):
         raise MeshError(f"{path}: is SPZ of version {version}; known: 1 to 4")
@@ -342,12 +344,12 @@ def _spz_sizes(path: Path, version: int, count: int, degree: int) -> list[int]:
 
 
 def _spz_gzip(path: Path, data: bytes) -> tuple[int, int, int, list[NDArray[np.uint8]]]:
-    """Returns version, number of splats, bits of fractions and the sections of an SPZ of versions 1 to 3."""
+    """Returns version, number of splats, fractional bits and the sections of an SPZ of versions 1 to 3."""
     unpacker = zlib.decompressobj(16 + zlib.MAX_WBITS)
     try:
         head = unpacker.decompress(data, 16)
         if len(head) < 16 or not head.startswith(_SPZ_MAGIC):
-            raise MeshError(f"{path}: is a gzip file, but no SPZ; {ADVICE}")
+            raise MeshError(f"{path}: is a gzip file, but not SPZ; {ADVICE}")
         version, count, degree, bits = (
             int.from_bytes(head[4:8], "little"),
             int.from_bytes(head[8:12], "little"),
@@ -356,7 +358,7 @@ def _spz_gzip(path: Path, data: bytes) -> tuple[int, int, int, list[NDArray[np.u
         )
         sizes = _spz_sizes(path, version, count, degree)
         total = sum(sizes)
-        # The limit is that of what the header promises: a file of a few bytes may unpack to any size.
+        # Limited to the size in the header: a file of a few bytes may decompress to any size.
         body = unpacker.decompress(unpacker.unconsumed_tail, total) if total else b""
     except zlib.error as e:
         raise MeshError(f"{path}: the SPZ cannot be unpacked ({e}); it is broken") from e
@@ -367,7 +369,7 @@ def _spz_gzip(path: Path, data: bytes) -> tuple[int, int, int, list[NDArray[np.u
 
 
 def _spz_streams(path: Path, data: bytes) -> tuple[int, int, int, list[NDArray[np.uint8]]]:
-    """As ``_spz_gzip`` for version 4: a table of contents, and a Zstandard stream for each section that is not empty."""
+    """Same as ``_spz_gzip``, for version 4: a table of contents, and a Zstandard stream for each non-empty section."""
     if len(data) < 32:
         raise MeshError(f"{path}: the SPZ has {len(data)} bytes, its header 32; it is cut")
     version, count = int.from_bytes(data[4:8], "little"), int.from_bytes(data[8:12], "little")
@@ -400,5 +402,5 @@ def _spz_streams(path: Path, data: bytes) -> tuple[int, int, int, list[NDArray[n
 
 
 def _frame_size(data: bytes, at: int) -> int:
-    """Returns the size of a Zstandard frame when it is unpacked, as its header says, so that a small file cannot fill the memory."""
+    """Returns the decompressed size in the header of a Zstandard frame, so that a small file cannot fill the memory."""
     return zstandard.frame_content_size(data[at : at + 18])

@@ -22,7 +22,7 @@ def load_stl(path: Path, data: bytes) -> list[MeshPart]:
         data: its bytes.
 
     Raises:
-        MeshError: the file is broken.
+        MeshError: the file is corrupt.
     """
     corners = _corners(path, data)
     edges = corners[:, 1:] - corners[:, :1]
@@ -45,7 +45,7 @@ def _corners(path: Path, data: bytes) -> F64:
             )
     if not data.lstrip().startswith(b"solid"):
         raise MeshError(f"{path}: is not an STL file")
-    words = [word for found in _VERTEX.findall(data) for word in found]
+    words = [word for match in _VERTEX.findall(data) for word in match]
     try:
         numbers = np.array([float(word) for word in words])
     except ValueError as e:

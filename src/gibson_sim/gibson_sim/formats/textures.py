@@ -1,4 +1,4 @@
-"""Finds and decodes the images that meshes name, each once, and only in allowed folders."""
+"""Finds and decodes the images that meshes reference, each once, and only in allowed folders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
-from gibson_sim.formats.file_roots import in_any_case, is_inside
+from gibson_sim.formats.file_roots import find_ignoring_case, is_inside
 from gibson_sim.formats.image_header import MAX_IMAGE_BYTES, MAX_PIXELS, image_size
 from gibson_sim.formats.mesh import TextureSource
 from gibson_sim.quoting import quoted
@@ -23,10 +23,10 @@ from gibson_sim.reading import is_file, is_folder, read_file
 
 Warn = Callable[[str], None]
 Decode = bool | Literal["sizes"]
-"""Whether images are decoded; "sizes" = replaced by black ones of the same size."""
+"""Whether images are decoded; "sizes" = replaced by black images of the same size."""
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif", ".ppm")
 _LEVELS_UP = 3
-"""Folders above a mesh beside which textures are searched."""
+"""Maximum number of folders above that of a mesh whose texture folders are searched."""
 
 
 def local_path(uri: str, folder: Path) -> Path:
@@ -38,12 +38,12 @@ def local_path(uri: str, folder: Path) -> Path:
 
 
 class TextureStore:
-    """Decodes each image once for as long as it lives.
+    """Decodes images and caches them for its lifetime.
 
     Args:
         roots: folders that images may lie in.
         decode: False = images are only checked for existence, for users of geometry alone; "sizes" = black images of the sizes in their
-            headers, which take no memory.
+            headers, without memory for their pixels.
     """
 
     def __init__(self, roots: Sequence[Path], decode: Decode = True) -> None:
@@ -51,34 +51,34 @@ class TextureStore:
         self.decode = decode
         self._by_file: dict[Path, TextureSource | None] = {}
         self._inside: dict[tuple[Path, tuple[Path, ...]], bool] = {}
-        """Image and roots -> whether it lies in them: many meshes name one image."""
+        """(Image, roots) -> whether it lies in them; cached, since many meshes reference one image."""
         self._encoded: dict[int, tuple[TextureSource, bytes]] = {}
 
     def within(self, roots: Sequence[Path]) -> TextureStore:
-        """Returns a store with other folders that shares the decoded images with this one."""
+        """Returns a store with other roots that shares the decoded images."""
         other = copy.copy(self)
         other.roots = tuple(roots)
         return other
 
     def from_uri(self, uri: str, mesh: Path, files: list[Path], warn: Warn, *, search: bool = True) -> TextureSource | None:
-        """Returns the image that ``mesh`` names, or None after a warning; always None without ``decode``.
+        """Returns the image that ``mesh`` references, or None with a warning; always None if ``decode`` is False.
 
         Args:
             uri: the reference, relative to the mesh.
             mesh: the mesh file.
             files: list to which the path of the image is appended.
             warn: called with one line about the image if it cannot be used.
-            search: whether a missing image is searched in the usual folders near the mesh.
+            search: whether to search for a missing image in the usual folders near the mesh.
 
         Raises:
             MeshError: the image has more than ``MAX_PIXELS``.
         """
         named = local_path(uri, mesh.parent)
         path = named if is_file(named) else (self._nearby(named, mesh) if search else None)
-        place = (path or named, self.roots)
-        if place not in self._inside:
-            self._inside[place] = is_inside(*place)
-        if not self._inside[place]:
+        key = (path or named, self.roots)
+        if key not in self._inside:
+            self._inside[key] = is_inside(*key)
+        if not self._inside[key]:
             text = (
                 f"{mesh}: texture {quoted(uri)} lies outside the folder of the mesh and of its model; it is not read, "
                 "put it beside the mesh"
@@ -86,7 +86,7 @@ class TextureStore:
             warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             return None
         if path is None:
-            text = f"{mesh}: texture {named.name} is missing (looked at {named}); the surface is drawn without it"
+            text = f"{mesh}: texture {named.name} is missing (searched {named}); the surface is drawn without it"
             warn(Omission(text, OmissionKind.MISSING_ASSET))
             return None
         if path != named and path.name.lower() != named.name.lower():
@@ -108,7 +108,7 @@ class TextureStore:
         return self._by_file[path]
 
     def from_bytes(self, name: str, data: bytes, warn: Warn) -> TextureSource | None:
-        """Returns the image in ``data``, the bytes of an image file, or None after a warning.
+        """Returns the image in ``data``, the bytes of an image file, or None with a warning.
 
         Args:
             name: name of the image, for messages.
@@ -130,15 +130,15 @@ class TextureStore:
         return source
 
     def encoded(self, texture: TextureSource) -> bytes:
-        """Returns the bytes of the image file of a texture of this store, whose ``decode`` is "sizes".
+        """Returns the encoded image of a texture of this store, whose ``decode`` is "sizes".
 
         Raises:
-            OSError: the file cannot be read any more.
+            OSError: the file cannot be read.
         """
         return self._encoded[id(texture)][1] if id(texture) in self._encoded else Path(texture.name).read_bytes()
 
     def _pixels(self, name: str, data: bytes) -> NDArray[np.uint8] | None:
-        """Returns the pixels (H, W, C) of an image file, black ones if ``decode`` is "sizes"; None if it cannot be decoded."""
+        """Returns the pixels (H, W, C) uint8 of an image file, black if ``decode`` is "sizes"; None if it cannot be decoded."""
         size = image_size(data)
         if self.decode == "sizes":
             black = np.zeros((1, 1, 1), dtype=np.uint8)
@@ -153,26 +153,26 @@ class TextureStore:
         return decode_image(data)
 
     def _nearby(self, named: Path, mesh: Path) -> Path | None:
-        """Returns an image of that name in the usual folders near the mesh, else the only image beside the mesh."""
-        here = mesh.parent
-        # Gazebo has `meshes/` beside `materials/textures/`; meshes may lie in further folders below the first.
-        above = [place for place in here.parents[:_LEVELS_UP] if is_inside(place, self.roots)]
-        beside = [folder for place in above for folder in (place / "textures", place / "materials" / "textures")]
-        for folder in map(in_any_case, (named.parent, here, here / "textures", *beside)):
+        """Returns the image of that name in the usual folders near the mesh, else the only image beside an OBJ mesh, else None."""
+        mesh_folder = mesh.parent
+        # Gazebo models have `meshes/` beside `materials/textures/`; meshes may also lie in sub-folders of `meshes/`.
+        above = [folder for folder in mesh_folder.parents[:_LEVELS_UP] if is_inside(folder, self.roots)]
+        texture_folders = [folder for folder in above for folder in (folder / "textures", folder / "materials" / "textures")]
+        for folder in map(find_ignoring_case, (named.parent, mesh_folder, mesh_folder / "textures", *texture_folders)):
             if not (is_folder(folder) and is_inside(folder, self.roots)):
                 continue
             for entry in sorted(folder.iterdir()):
                 if entry.name.lower() == named.name.lower() and is_file(entry):
                     return entry
-        images = [p for p in sorted(here.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and is_file(p)]
-        # Scans come as one mesh and one image, which people rename.
+        images = [p for p in sorted(mesh_folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and is_file(p)]
+        # Scans are often one mesh and one image, which users rename.
         return images[0] if len(images) == 1 and mesh.suffix.lower() == ".obj" else None
 
 
 def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
     """Returns an image decoded by OpenCV, or None if it cannot be decoded or has more than ``MAX_PIXELS``.
 
-    The header is read first, because a few KB of PNG can hold gigabytes.
+    The header is checked first, because a PNG of a few KB can decode to gigabytes.
 
     Args:
         data: bytes of an image file or message.
@@ -189,7 +189,7 @@ def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
 
 
 def decode_image(data: bytes) -> NDArray[np.uint8] | None:
-    """Returns the pixels of an image file's bytes, (H, W, 3) RGB or (H, W, 4) RGBA uint8, or None if they cannot be decoded."""
+    """Returns the pixels of an encoded image, (H, W, 3) RGB or (H, W, 4) RGBA uint8, or None if it cannot be decoded."""
     image = decode_pixels(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         return None

@@ -1,4 +1,4 @@
-"""Finds the files that world files name: ``model://``, ``package://``, ``file://`` and relative paths."""
+"""Resolves the URIs in world files: ``model://``, ``package://``, ``file://`` and relative paths."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
-from gibson_sim.formats.file_roots import in_any_case, is_inside, mirrored
+from gibson_sim.formats.file_roots import find_ignoring_case, is_inside, mirrored_folder
 from gibson_sim.reading import exists, is_folder
 from gibson_sim.resources import PATH_VARIABLE
 
 _MODEL_VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")
 _LEVELS_UP = 3
-"""Folders above a file among its ancestors."""
+"""Default maximum number of folders above a folder in ``ancestors``."""
 
 
 def environment_folders() -> tuple[Path, ...]:
@@ -28,21 +28,21 @@ def _entries(variable: str) -> list[Path]:
 
 
 def ancestors(folder: Path, levels: int = _LEVELS_UP) -> tuple[Path, ...]:
-    """Returns the folder and up to ``levels`` folders above it, never the file system's root."""
+    """Returns the folder and up to ``levels`` folders above it, without the root of the file system."""
     return tuple(p for p in (folder, *folder.parents)[: levels + 1] if p != p.parent)
 
 
 def installed_paths(rest: str) -> Iterator[Path]:
-    """Yields the candidate paths of ``<package>/<path>`` in the ROS installations of the environment."""
+    """Yields the candidate paths of ``<package>/<path>`` in the ROS installations named by the environment."""
     name, _, inner = rest.partition("/")
-    for variable, below in (("AMENT_PREFIX_PATH", f"share/{name}"), ("ROS_PACKAGE_PATH", name)):
-        yield from (entry / below / inner for entry in _entries(variable))
+    for variable, package_folder in (("AMENT_PREFIX_PATH", f"share/{name}"), ("ROS_PACKAGE_PATH", name)):
+        yield from (entry / package_folder / inner for entry in _entries(variable))
 
 
 def is_registered(path: Path) -> bool:
-    """Returns whether a file lies in a folder of the user's environment, also where links are installed in place of copies.
+    """Returns whether a file lies in a folder named by the environment, including installations with symbolic links.
 
-    These folders are the model folders, and the packages of ``$AMENT_PREFIX_PATH`` and ``$ROS_PACKAGE_PATH``.
+    These are the model folders, and the packages in ``$AMENT_PREFIX_PATH`` and ``$ROS_PACKAGE_PATH``.
     """
     roots = list(environment_folders())
     for variable, below in (("AMENT_PREFIX_PATH", "share"), ("ROS_PACKAGE_PATH", "")):
@@ -50,7 +50,7 @@ def is_registered(path: Path) -> bool:
             if path.is_relative_to(folder) and path != folder:
                 roots.append(folder / path.relative_to(folder).parts[0])
     return is_inside(path, roots) or any(
-        is_inside(path, (there,)) for root in roots if (there := mirrored(root, path)) is not None
+        is_inside(path, (mirrored,)) for root in roots if (mirrored := mirrored_folder(root, path)) is not None
     )
 
 
@@ -66,14 +66,14 @@ class UriResolver:
         self.root = root
         inside = [p for p in ancestors(world, 8) if p.is_relative_to(root)] or [world]
         self.ancestors = (*inside, *(() if root in inside else (root,)))
-        own = [folder for base in self.ancestors for folder in (base / "models", base)]
-        self.model_folders = tuple(dict.fromkeys([f for f in own if is_folder(f)] + list(environment_folders())))
+        local = [folder for base in self.ancestors for folder in (base / "models", base)]
+        self.model_folders = tuple(dict.fromkeys([f for f in local if is_folder(f)] + list(environment_folders())))
 
     def find(self, uri: str, base: Path) -> Path | None:
-        """Returns the file or folder of a URI in a file of folder ``base``, or None if it does not exist."""
+        """Returns the file or folder at a URI, or None if it does not exist; ``base``: folder of the file with the URI."""
         candidates = dict.fromkeys(self._candidates(unquote(uri.strip()), base))
-        found = next((p for p in candidates if exists(p)), None)
-        return found or next((p for p in map(in_any_case, candidates) if exists(p)), None)
+        exact = next((p for p in candidates if exists(p)), None)
+        return exact or next((p for p in map(find_ignoring_case, candidates) if exists(p)), None)
 
     def _candidates(self, uri: str, base: Path) -> Iterator[Path]:
         scheme, separator, rest = uri.partition("://")
@@ -96,7 +96,7 @@ class UriResolver:
         name, _, inner = rest.partition("/")
         yield from installed_paths(rest)
         yield from (folder / inner for folder in self.ancestors if folder.name == name)
-        # The package is not installed, and the scene may hold a part of it: try ever shorter ends of the path.
+        # The package is not installed, but the scene may contain a part of it: try shorter and shorter ends of the path.
         parts = [p for p in inner.split("/") if p]
         for start in range(len(parts)):
             yield from (folder.joinpath(name, *parts[start:]) for folder in self.ancestors if start == 0)

@@ -28,7 +28,7 @@ def extent_of_scene(scene: SceneSpec) -> FloorExtent:
     """Returns the extent of the floor that robots start on, world metres: that of its named rooms, else that of everything on it.
 
     Raises:
-        SceneError: there is nothing at this height.
+        SceneError: the scene has no surface at this height.
     """
     level = scene.floors.index(scene.floor_z)
     corners = [point for room in scene.rooms if room.floor == level for point in room.polygon]
@@ -46,7 +46,7 @@ def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequ
         roots: folders that meshes must lie in; None = the folders of the meshes.
 
     Raises:
-        SceneError: a mesh cannot be read, or there is nothing at this height.
+        SceneError: a mesh cannot be read, or the scene has no surface at this height.
     """
     still = [visual for visual in scene.visuals if not visual.link]
     folders = roots or mesh_folders(visual.shape for visual in still)
@@ -68,7 +68,7 @@ def extent_of_triangles(vertices: ArrayLike, triangles: ArrayLike, floor_z: floa
         floor_z: height of the floor, world metres.
 
     Raises:
-        SceneError: there is nothing at this height.
+        SceneError: the scene has no surface at this height.
     """
     corners = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)[np.asarray(triangles, dtype=np.int64).reshape(-1, 3)]
     for low, high in (_WALLS, _ALL):

@@ -200,7 +200,7 @@ def scene_floor_map(scene: SceneSpec, *, robot_height: float, resolution: float 
         resolution: edge of a cell, metres; made coarser, with a warning, if the map would become too large.
 
     Raises:
-        SceneError: there is nothing at this height.
+        SceneError: the scene has no surface at this height.
     """
     vertices, triangles = collision_triangles(scene)
     ground = has_ground_at(scene, scene.floor_z)
@@ -237,7 +237,7 @@ def make_floor_map(
         ground_plane: whether there is floor everywhere, also where no triangle is; a floor of the mesh's own takes precedence.
 
     Raises:
-        SceneError: there is nothing at this height.
+        SceneError: the scene has no surface at this height.
     """
     v = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
     corners = v[np.asarray(triangles, dtype=np.int64).reshape(-1, 3)]

@@ -45,7 +45,7 @@ def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int
         seed: seed of the poses.
 
     Raises:
-        SceneError: there is no scene, a file cannot be written, or a floor has no room for the robot.
+        SceneError: the scene does not exist, a file cannot be written, or a floor has no room for the robot.
     """
     if not (folder / DESCRIPTION).is_file():
         raise SceneError(f"{folder}: holds no {DESCRIPTION}; only a scene with one can hold maps: import it first")

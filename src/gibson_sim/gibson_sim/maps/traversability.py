@@ -40,13 +40,13 @@ _LAYER = 0.01
 """Thickness of the layers in which heights are told apart, metres."""
 
 STOREY = 1.8
-"""Least distance between two floors, metres: beds and tables are no floors."""
+"""Least distance between two floors, metres: beds and tables are not floors."""
 SMALLEST_SHARE = 0.2
 """Least area of a floor, as a share of that of the largest one."""
 SMALLEST_AREA = 2.0
 """Least area of a floor, square metres."""
 _HEADROOM = 1.5
-"""Least height of a mesh above its floors, metres: a roof is no floor."""
+"""Least height of a mesh above its floors, metres: a roof is not a floor."""
 _UP = 0.8
 """Least cosine between the normal of a floor and the vertical."""
 _BIN = 0.02
@@ -96,7 +96,7 @@ def floor_maps(
         bodies: whether movable things count too, where they stand at load; without them the map is as if all doors were open.
 
     Raises:
-        SceneError: there is nothing at a floor's height.
+        SceneError: the scene has no surface at a floor's height.
     """
     heights = scene_floors(scene) if floors is None else tuple(floors)
     corners = scene_triangles(scene, bodies=bodies)
@@ -129,7 +129,7 @@ def traversable_map(
         ground_plane: whether there is floor everywhere; a floor among the triangles takes precedence.
 
     Raises:
-        SceneError: there is nothing at this height.
+        SceneError: the scene has no surface at this height.
     """
     every = np.asarray(corners, dtype=np.float64).reshape(-1, 3, 3)
     near = every[_reaches(every, floor_z - REACH, floor_z + REACH + robot.height)]

@@ -11,7 +11,7 @@ from pathlib import Path
 from gibson_sim.description.body import model_visuals
 from gibson_sim.description.extents import MeshPoints, reach
 from gibson_sim.description.mesh_files import PACKAGE_SCHEME, resolve_mesh
-from gibson_sim.description.packages import where_looked
+from gibson_sim.description.packages import searched_places
 from gibson_sim.description.rigid_groups import MOVING_TYPES
 from gibson_sim.description.urdf import UrdfModel, read_urdf
 from gibson_sim.description.xacro import plain_description
@@ -51,7 +51,7 @@ _ROBOT_KEYS = (
 )
 _NO_ROBOTS = {
     ".sdf": "is an SDF model, which is spawned as a body",
-    ".xml": "is no URDF by its name",
+    ".xml": "is not a URDF by its name",
     ".zip": "is an archive: unpack it",
 }
 """Suffixes of files that users give as robots by mistake, and what to say of them."""
@@ -198,7 +198,7 @@ def _description(robot: YamlMap, path: Path) -> Path:
         arguments[str(key)] = str(value).lower() if isinstance(value, bool) else str(value)
     file = resolve_mesh(name, path) if name.startswith(PACKAGE_SCHEME) else path.parent / name
     if file is None:
-        raise RobotError(f"{robot.where}: urdf {name} is not found: looked in {where_looked(path)}")
+        raise RobotError(f"{robot.where}: urdf {name} is not found: looked in {searched_places(path)}")
     return plain_description(file, arguments)
 
 

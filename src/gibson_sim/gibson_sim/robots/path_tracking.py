@@ -215,7 +215,7 @@ def scripted_drive(name: str, *, linear: float = 0.4, angular: float = 1.2, leng
     try:
         text = Path(name).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as e:
-        why = e.strerror if isinstance(e, OSError) else "it is no text"
+        why = e.strerror if isinstance(e, OSError) else "it is not text"
         raise ConfigError(
             f"drive {quoted(name)} is neither forward, square nor spin, nor a text file that can be read ({why})"
         ) from e

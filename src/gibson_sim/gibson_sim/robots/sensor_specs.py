@@ -279,7 +279,7 @@ class SensorSpecs:
 
 
 def _name(name: str, link: str) -> str:
-    """Returns how an error message begins; raises ConfigError for a name that is no topic."""
+    """Returns how an error message begins; raises ConfigError for a name that is not a topic."""
     what = f"sensor {quoted(name)} on {quoted(link)}" if link else f"sensor {quoted(name)}"
     if not TOPIC.fullmatch(name):
         raise ConfigError(f"{what}: the name is a topic; use letters, digits, _ and /, a letter first")

@@ -1,7 +1,7 @@
-"""Maps the paths in a ``DrawnScene`` that was loaded on another machine, the physics node's, to files on this one.
+"""Maps the paths in a ``DrawnScene`` that was loaded on the remote machine of the physics node to files on the local machine.
 
-A path that exists is kept. Otherwise it is mapped by the user's table of folders or, if that has no match, by a part ``scenes/<name>/``,
-``robots/<name>/`` or ``objects/<name>/`` whose name is known here (``resources``).
+A path that exists locally is kept. Otherwise it is mapped by the user's table of folders or, if that has no match, by a part
+``scenes/<name>/``, ``robots/<name>/`` or ``objects/<name>/`` whose name is a local resource (``resources``).
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ _KINDS = ("scenes", "robots", "objects")
 
 
 def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ()) -> tuple[DrawnScene, tuple[str, ...]]:
-    """Returns the scene with paths of this machine, and warnings, one line each.
+    """Returns the scene with local paths, and warnings, one line each.
 
     Args:
-        scene: the scene as it was received.
-        folders: pairs of a folder on the other machine and the same folder on this one.
+        scene: the received scene.
+        folders: pairs of a remote folder and the corresponding local folder.
 
     Raises:
-        SceneNotFoundError: a file is not found on this machine.
+        SceneNotFoundError: a file does not exist locally.
     """
-    found: dict[str, str] = {}
+    local_paths: dict[str, str] = {}
 
     def local(path: str) -> str:
-        if path and path not in found:
-            found[path] = path if exists(Path(path)) else str(_located(path, folders))
-        return found[path] if path else path
+        if path and path not in local_paths:
+            local_paths[path] = path if exists(Path(path)) else str(_find_local(path, folders))
+        return local_paths[path] if path else path
 
     visuals = tuple(_with_files(visual, local(visual.shape.mesh), local(_pattern_image(visual))) for visual in scene.visuals)
     light = replace(scene.light, environment=local(scene.light.environment), backdrop=local(scene.light.backdrop))
     splats = None if scene.splats is None else replace(scene.splats, file=local(scene.splats.file))
     cameras = tuple(replace(c, fill=local(c.fill)) if c.fill.endswith(".onnx") else c for c in scene.cameras)
-    if all(there == here for there, here in found.items()):
+    if all(remote == local_path for remote, local_path in local_paths.items()):
         return scene, ()
     moved = replace(scene, visuals=visuals, light=light, splats=splats, cameras=cameras)
-    return moved, _difference(scene, found)
+    return moved, _check_digest(scene, local_paths)
 
 
 def _pattern_image(visual: VisualSpec) -> str:
@@ -61,14 +61,14 @@ def _with_files(visual: VisualSpec, mesh: str, image: str) -> VisualSpec:
     return replace(visual, shape=replace(visual.shape, mesh=mesh), appearance=appearance)
 
 
-def _located(path: str, folders: Sequence[tuple[str, str]]) -> Path:
-    """Returns the path on this machine of a file of the other machine."""
-    for there, here in folders:
-        if PurePosixPath(path).is_relative_to(there):
-            candidate = Path(os.path.expanduser(here)) / PurePosixPath(path).relative_to(there)
+def _find_local(path: str, folders: Sequence[tuple[str, str]]) -> Path:
+    """Returns the local path of a remote file."""
+    for remote, local_folder in folders:
+        if PurePosixPath(path).is_relative_to(remote):
+            candidate = Path(os.path.expanduser(local_folder)) / PurePosixPath(path).relative_to(remote)
             if exists(candidate):
                 return candidate
-    for kind, name, tail in _named(path):
+    for kind, name, tail in _resource_parts(path):
         try:
             folder = _folder(kind, name)
         except GibsonSimError:
@@ -76,13 +76,13 @@ def _located(path: str, folders: Sequence[tuple[str, str]]) -> Path:
         if exists(folder / tail):
             return folder / tail
     raise SceneNotFoundError(
-        f"{path} is a file of the physics node's machine and is not found on this one: map its folder with the setting 'asset_roots' "
+        f"{path} is a file on the physics node's machine and does not exist on this one: map its folder with the setting 'asset_roots' "
         "(from=to), or put the scene into a folder of $GIBSON_SIM_PATH"
     )
 
 
-def _named(path: str) -> list[tuple[str, str, PurePosixPath]]:
-    """Returns kind, name and the rest after them for each part of a path that names a scene, a robot or an object; the last part first."""
+def _resource_parts(path: str) -> list[tuple[str, str, PurePosixPath]]:
+    """Returns (kind, name, relative path) for each part of a path that names a scene, a robot or an object; the last part first."""
     parts = PurePosixPath(path).parts
     return [
         (parts[k], parts[k + 1], PurePosixPath(*parts[k + 2 :])) for k in reversed(range(len(parts) - 2)) if parts[k] in _KINDS
@@ -92,26 +92,26 @@ def _named(path: str) -> list[tuple[str, str, PurePosixPath]]:
 def _folder(kind: str, name: str) -> Path:
     if kind == "objects":
         return next((share / kind / name for share in share_folders() if exists(share / kind / name)), Path(name))
-    found = find_scene(name) if kind == "scenes" else find_robot(name)
-    return found if is_folder(found) else found.parent
+    path = find_scene(name) if kind == "scenes" else find_robot(name)
+    return path if is_folder(path) else path.parent
 
 
-def _difference(scene: DrawnScene, found: dict[str, str]) -> tuple[str, ...]:
-    """Returns a warning if the scene on this machine has another digest than that of the physics node."""
-    # A randomised scene has a digest of its own, which cannot be computed here.
+def _check_digest(scene: DrawnScene, local_paths: dict[str, str]) -> tuple[str, ...]:
+    """Returns a warning if the digest of the local scene differs from that of the physics node's scene."""
+    # The digest of a randomised scene cannot be computed from its files.
     if not scene.content_hash or any(visual.appearance is not None for visual in scene.visuals):
         return ()
-    for there, here in found.items():
-        name = next((name for kind, name, _ in _named(there) if kind == "scenes"), "")
-        if there == here or not name:
+    for remote, local in local_paths.items():
+        name = next((name for kind, name, _ in _resource_parts(remote) if kind == "scenes"), "")
+        if remote == local or not name:
             continue
         try:
             same = load_scene(name).content_hash == scene.content_hash
         except GibsonSimError as error:
-            return (f"{here} stands for {there}, but scene {quoted(name)} cannot be compared: {error}",)
+            return (f"{local} replaces {remote}, but scene {quoted(name)} cannot be compared: {error}",)
         return (
             ()
             if same
-            else (f"{here} stands for {there}, but scene {quoted(name)} differs between the two machines: pictures may be wrong",)
+            else (f"{local} replaces {remote}, but scene {quoted(name)} differs between the two machines: images may be wrong",)
         )
     return ()

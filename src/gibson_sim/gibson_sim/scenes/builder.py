@@ -1,4 +1,4 @@
-"""Collects the contents of a scene while its file is read, and builds the SceneSpec: unique names, warnings, digest, height of the floor."""
+"""Collects the elements of a scene while its file is read, and builds the SceneSpec: unique names, warnings, digest, floor height."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
 FAR_AWAY = 1e4
-"""Largest coordinate in a scene, metres; a larger one is a mistake in the file."""
+"""Maximum absolute coordinate in a scene, metres; a larger one is an error in the file."""
 _MAX_NAME = 200
-"""Characters of a scene's name."""
+"""Maximum length of a scene's name, characters."""
 _MAX_CLASS = 200
-"""Characters of a model's name from which its class is derived."""
+"""Maximum length of the model name from which a class is derived, characters."""
 _UP_FACING = 0.98
-"""Least cosine between the normal of a floor and the vertical."""
+"""Minimum cosine of the angle between the normal of a floor and the vertical."""
 _BIN = 0.02
-"""Width of the bins in which heights of triangles are counted, metres."""
+"""Bin width of the histogram of triangle heights, metres."""
 
 
 class SceneBuilder:
-    """A scene while it is read.
+    """Collects the elements of one scene.
 
     Args:
         name: name of the scene.
         root: folder of its files.
         extra_roots: further folders that its files may lie in; None = anywhere.
-        environment: whether its files may also lie in folders of the user's environment, such as those of ``$GAZEBO_MODEL_PATH``.
+        environment: whether its files may also lie in folders named by environment variables such as ``$GAZEBO_MODEL_PATH``.
         description: the file in ``root`` that describes the scene; if it is a symbolic link, files may also lie in the folder of its
-            target. None = it is no file.
-        max_bytes: largest size of a mesh file; None = any.
+            target. None = the description is not a file.
+        max_bytes: maximum size of a mesh file, bytes; None = unlimited.
     """
 
     def __init__(
@@ -69,13 +69,13 @@ class SceneBuilder:
         self.name = name
         self.description = ""
         self.root = Path(os.path.realpath(root))
-        self._places = (self.root,) if description is None else description_roots(root, description)
+        self._description_roots = (self.root,) if description is None else description_roots(root, description)
         self._environment = environment
         found = environment_folders() if environment else ()
-        self.roots: tuple[Path, ...] | None = None if extra_roots is None else (*self._places, *extra_roots, *found)
+        self.roots: tuple[Path, ...] | None = None if extra_roots is None else (*self._description_roots, *extra_roots, *found)
         """Folders that the files of the scene must lie in; None = anywhere."""
         self.loader = MeshLoader(self.roots, textures=False, max_bytes=max_bytes)
-        # The reader of a body has checked where its files lie.
+        # The reader of a body has already checked the location of its files.
         self._body_loader = MeshLoader(None, textures=False, max_bytes=max_bytes)
         self.gravity: Vec3 = (0.0, 0.0, -9.81)
         self.ground_z: float | None = None
@@ -96,20 +96,20 @@ class SceneBuilder:
         self._texts: list[bytes] = []
 
     def warn(self, text: str, kind: OmissionKind | None = None) -> None:
-        """Adds one line to the warnings unless it is there already; paths below the root are shortened.
+        """Adds one line to the warnings, unless it is a duplicate; paths below the root are shortened.
 
         Args:
             text: the line.
-            kind: why something is left out; None = the kind of ``text``, if it is an ``Omission``.
+            kind: kind of the omission; None = that of ``text``, if it is an ``Omission``.
         """
         short = Omission(text.replace(f"{self.root}{os.sep}", ""), kind or kind_of(text))
         if short not in self.warnings:
             self.warnings.append(short)
 
     def admits(self, path: Path) -> bool:
-        """Returns whether a model or a mesh may be read: it lies in the roots, or in a folder of the user's environment.
+        """Returns whether a model or a mesh may be read: it lies in the roots, or in a folder named by an environment variable.
 
-        In the second case its package joins the roots, so that it may name files of that package.
+        In the second case its package is added to the roots, so that it may name files of that package.
         """
         if self.roots is None or is_inside(path, self.roots):
             return True
@@ -123,11 +123,11 @@ class SceneBuilder:
             self.roots = self.loader.roots = tuple(dict.fromkeys((*self.roots, *roots)))
 
     def add_text(self, text: str) -> None:
-        """Adds a description that is no file to the digest."""
+        """Adds a description that is not a file to the digest."""
         self._texts.append(text.encode("utf-8", errors="replace"))
 
     def read_bytes(self, path: Path) -> bytes:
-        """Returns the content of a description file, and adds it to the digest.
+        """Returns the content of a description file, and adds the file to the digest.
 
         Raises:
             SceneNotFoundError: the file cannot be read.
@@ -162,8 +162,8 @@ class SceneBuilder:
             path: the mesh file.
             matrix: T_world_object, (4, 4), rigid.
             scale: factors along the axes of the object (z up).
-            up_axis: up axis of the file; None = that of the file or its format.
-            unit_m: metres per unit of the file; None = that of the file or its format.
+            up_axis: up axis that overrides that of the file or its format; None = no override.
+            unit_m: metres per unit that override those of the file or its format; None = no override.
 
         Raises:
             MeshError: the mesh cannot be used.
@@ -175,16 +175,16 @@ class SceneBuilder:
         for warning in mesh.warnings:
             self.warn(warning)
         factor = 1.0 if unit_m is None else unit_m / mesh.unit_m
-        # The loader rotated the mesh by the file's up axis: undo that rotation and apply the requested one. Both only swap axes, so
-        # the scale stays a scale along axes.
-        turn = np.eye(3) if up_axis is None else TO_Z_UP[up_axis] @ TO_Z_UP[mesh.up_axis].T
-        sizes = np.diag(turn.T @ np.diag(scale) @ turn) * factor
-        turned = matrix.copy()
-        turned[:3, :3] = matrix[:3, :3] @ turn
-        return Shape("mesh", (float(sizes[0]), float(sizes[1]), float(sizes[2])), str(real_path(path))), turned
+        # The loader has rotated the mesh by the file's up axis: undo that rotation and apply the requested one. Both only permute
+        # axes, so the scale remains a scale along axes.
+        rotation = np.eye(3) if up_axis is None else TO_Z_UP[up_axis] @ TO_Z_UP[mesh.up_axis].T
+        sizes = np.diag(rotation.T @ np.diag(scale) @ rotation) * factor
+        rotated = matrix.copy()
+        rotated[:3, :3] = matrix[:3, :3] @ rotation
+        return Shape("mesh", (float(sizes[0]), float(sizes[1]), float(sizes[2])), str(real_path(path))), rotated
 
     def has_textures(self, shape: Shape) -> bool:
-        """Returns whether a mesh has images, in files beside it or possibly inside its GLB."""
+        """Returns whether a mesh has image files, or is a GLB, which may contain images."""
         files = self.loader.mesh(Path(shape.mesh)).files if shape.kind == "mesh" else ()
         return any(file.suffix.lower() in (*IMAGE_SUFFIXES, ".glb") for file in files)
 
@@ -206,7 +206,7 @@ class SceneBuilder:
 
         Args:
             path: the image.
-            where: file and place that name it, for messages.
+            where: file and key that name it, for messages.
 
         Raises:
             SceneError: the image is missing or lies outside the scene's folders.
@@ -224,19 +224,19 @@ class SceneBuilder:
 
         Args:
             path: the file.
-            matrix: T_world_file, (4, 4), rigid, of the file with z up.
+            matrix: T_world_file, (4, 4), rigid, for a file with z up.
             scale: metres per unit of the file.
             up_axis: up axis of the file; None = that of its format.
 
         Raises:
-            SceneError: the file is missing, of another kind, or lies outside the scene's folders.
+            SceneError: the file is missing, of an unsupported format, or outside the scene's folders.
         """
         if not self.admits(path):
             raise SceneError(f"{path}: lies outside the scene's folder; put it inside")
         real = real_path(path)
-        turned = matrix.copy()
-        turned[:3, :3] = matrix[:3, :3] @ TO_Z_UP[up_axis_of(real) if up_axis is None else up_axis]
-        self.splats = SplatsSpec(str(real), pose_from_matrix(turned), scale)
+        rotated = matrix.copy()
+        rotated[:3, :3] = matrix[:3, :3] @ TO_Z_UP[up_axis_of(real) if up_axis is None else up_axis]
+        self.splats = SplatsSpec(str(real), pose_from_matrix(rotated), scale)
         self._files[real] = None
 
     def add_collision(self, name: str, shape: Shape, matrix: F64) -> None:
@@ -244,7 +244,7 @@ class SceneBuilder:
         self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose_from_matrix(matrix)))
 
     def add_simplified_collision(self, name: str, shape: Shape, matrix: F64) -> None:
-        """Adds simplified collision shapes of a scan at T_world_shape, under one name: boxes for its floors, few triangles for the rest.
+        """Adds the simplified collision shapes of a scan at T_world_shape, under one name: boxes for its floors, few triangles for the rest.
 
         Raises:
             SceneError: the user's cache cannot be written.
@@ -253,7 +253,7 @@ class SceneBuilder:
         vertices, triangles = self.loader.shape(shape).merged()
         for simple, pose in scan_shapes(transform_points(matrix, vertices), triangles, f"{self.name}: {unique}"):
             if simple.kind == "mesh":
-                # It lies in the user's cache, which is trusted.
+                # The mesh lies in the user's cache, which is trusted.
                 self._add_roots(Path(simple.mesh).parent)
             self.collisions.append(CollisionSpec(unique, simple, pose))
 
@@ -261,13 +261,13 @@ class SceneBuilder:
         """Returns the scene.
 
         Raises:
-            SceneError: it is empty, or its name is not usable.
+            SceneError: the scene is empty, or its name is invalid.
         """
         if len(self.name) > _MAX_NAME or not self.name.isprintable():
             raise SceneError(f"scene {quoted(self.name)}: its name must be one line of at most {_MAX_NAME} characters")
         if not self.visuals and not self.collisions and self.ground_z is None:
             reason = f": {self.warnings[0]}" if self.warnings else ""
-            raise SceneError(f"scene {quoted(self.name)}: nothing in it can be drawn or collided with{reason}")
+            raise SceneError(f"scene {quoted(self.name)}: it has no visuals, collision shapes or ground plane{reason}")
         floor_z = self.floor_z
         if floor_z is None:
             triangles = merge([shape_triangles(self.loader, c) for c in self.collisions])
@@ -292,13 +292,13 @@ class SceneBuilder:
         return total.hexdigest()
 
     def _relative(self, path: Path) -> str:
-        """Returns the name of a file in the digest: its path in the scene, which does not depend on symbolic links."""
-        inside = next((place for place in self._places if path.is_relative_to(place)), None)
-        return path.name if inside is None else os.path.relpath(path, inside)
+        """Returns the name of a file in the digest: its path relative to the scene's folder, independent of symbolic links."""
+        root = next((folder for folder in self._description_roots if path.is_relative_to(folder)), None)
+        return path.name if root is None else os.path.relpath(path, root)
 
 
 def _unique(name: str, used: dict[str, int]) -> str:
-    """Returns the name, with _2, _3, ... if it is in ``used``, and adds it there; ``used`` holds the last number of every name."""
+    """Returns the name, with _2, _3, ... if it is in ``used``, and adds the result to ``used``: name -> last number."""
     candidate, number = name, used.get(name, 0)
     while candidate in used:
         number += 1
@@ -314,7 +314,7 @@ def estimate_floor(vertices: F64, triangles: NDArray[np.int32], ground_z: float 
     Args:
         vertices: (V, 3), world metres.
         triangles: (F, 3), rows of ``vertices``.
-        ground_z: height of an infinite ground plane; it is the floor unless a wide floor lies just above it.
+        ground_z: height of an infinite ground plane; it is the floor unless a large floor lies just above it.
     """
     corners = vertices[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -324,25 +324,25 @@ def estimate_floor(vertices: F64, triangles: NDArray[np.int32], ground_z: float 
     if not len(z):
         return ground_z if ground_z is not None else float(vertices[:, 2].min(initial=0.0) if len(vertices) else 0.0)
     if ground_z is not None:
-        low, reach = ground_z - 0.01, 0.3
+        low, span = ground_z - 0.01, 0.3
     else:
-        # The lowest percent of the area is skipped: stray triangles below the floor must not shift the search.
+        # Skip the lowest percent of the area: outlier triangles below the floor must not shift the search.
         order = np.argsort(z)
         low = float(z[order][np.searchsorted(np.cumsum(area[order]), 0.01 * area.sum())]) - 0.5 * _BIN
-        reach = 1.0
-    near = (z >= low) & (z <= low + reach)
+        span = 1.0
+    near = (z >= low) & (z <= low + span)
     if not near.any():
         return ground_z if ground_z is not None else float(z.min())
     bins = np.floor((z[near] - low) / _BIN).astype(int)
-    best = np.bincount(bins, weights=area[near])
-    peak = int(best.argmax())
+    areas = np.bincount(bins, weights=area[near])
+    peak = int(areas.argmax())
     if ground_z is not None:
         spans = vertices[:, :2].max(axis=0) - vertices[:, :2].min(axis=0)
-        if best[peak] < 0.5 * float(spans[0] * spans[1]):
+        if areas[peak] < 0.5 * float(spans[0] * spans[1]):
             return ground_z
-    chosen = np.abs(bins - peak) <= 1
-    # The median is the height of the floor itself; a mean would depend on every carpet.
-    z, area = z[near][chosen], area[near][chosen]
+    on_peak = np.abs(bins - peak) <= 1
+    # The median is the height of the floor itself; carpets would bias a mean.
+    z, area = z[near][on_peak], area[near][on_peak]
     order = np.argsort(z)
     middle = np.searchsorted(np.cumsum(area[order]), 0.5 * area.sum())
     return float(np.round(z[order][middle], 6)) + 0.0

@@ -1,4 +1,4 @@
-"""Reads Drake's model directives (``*.dmd.yaml``): add_model, add_weld and add_frame; other directives are left out with a warning."""
+"""Reads Drake's model directives (``*.dmd.yaml``): add_model, add_weld and add_frame; ignores other directives with a warning."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ F64 = NDArray[np.float64]
 
 
 class _Loader(YAML_LOADER):  # type: ignore[misc]
-    """YAML loader that reads Drake's ``!Rpy`` and ``!AngleAxis`` as mappings with these keys."""
+    """YAML loader that reads Drake's tags ``!Rpy`` and ``!AngleAxis`` as mappings with these keys."""
 
 
 def _tagged(loader: _Loader, suffix: str, node: yaml.Node) -> dict[str, Any]:
@@ -48,21 +48,19 @@ def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
     """Adds all models of a directives file to the builder.
 
     Raises:
-        SceneError: the file is no model directives file.
+        SceneError: the file is not a model directives file.
     """
     try:
         document = parse_directives(builder.read_bytes(path))
     except TextError as e:
-        raise SceneError(f"{path}: {e}").telling(e.public) from e
+        raise SceneError(f"{path}: {e}").with_public(e.public) from e
     directives = document.get("directives") if isinstance(document, dict) else None
     if not isinstance(directives, list):
         raise SceneError(f"{path}: has no list `directives`; is it a Drake model directives file?")
     reader = _DirectivesReader(builder, path)
     for directive in directives:
         if not isinstance(directive, dict) or len(directive) != 1:
-            builder.warn(
-                f"{path}: directive {quoted(directive)} is not one name with its content; left out", OmissionKind.INVALID
-            )
+            builder.warn(f"{path}: directive {quoted(directive)} is not a mapping with one key; left out", OmissionKind.INVALID)
             continue
         ((name, content),) = directive.items()
         reader.directive(str(name), content if isinstance(content, dict) else {})
@@ -70,7 +68,7 @@ def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
 
 
 class _DirectivesReader:
-    """Collects models, welds and frames in the order of the file, and places the models afterwards."""
+    """Collects models, welds and frames in the order of the file, then places the models."""
 
     def __init__(self, builder: SceneBuilder, path: Path) -> None:
         self.builder = builder
@@ -100,24 +98,24 @@ class _DirectivesReader:
         """Adds every model at the pose of its weld, or at the origin of the world."""
         for name, (element, file) in self._elements.items():
             if name not in self._poses:
-                self.builder.warn(f"{self.path}: model {quoted(name)} is not welded to anything; it stands at the origin")
+                self.builder.warn(f"{self.path}: model {quoted(name)} has no weld; it is placed at the origin")
             matrix = self._poses.get(name, np.eye(4))
             if element is not None:
                 self.models.model(element, matrix, name, file.parent)
                 continue
             try:
-                shape, at = self.builder.mesh_shape(file, matrix, (1.0, 1.0, 1.0))
+                shape, T_world_shape = self.builder.mesh_shape(file, matrix, (1.0, 1.0, 1.0))
             except MeshError as e:
                 self.builder.warn(f"model {name}: {e}; left out", OmissionKind.UNSUPPORTED_ASSET)
                 continue
-            self.builder.add_visual(name, shape, at, None, class_from_model(name))
-            self.builder.add_collision(name, shape, at)
+            self.builder.add_visual(name, shape, T_world_shape, None, class_from_model(name))
+            self.builder.add_collision(name, shape, T_world_shape)
 
     def _add_model(self, content: dict[str, Any]) -> None:
         name, uri = str(content.get("name", "")), str(content.get("file", ""))
         file = self.uris.find(uri, self.path.parent) if uri else None
         if file is None:
-            self.builder.warn(f"model {quoted(name)}: file {quoted(uri)} is not there; left out", OmissionKind.MISSING_ASSET)
+            self.builder.warn(f"model {quoted(name)}: file {quoted(uri)} does not exist; left out", OmissionKind.MISSING_ASSET)
             return
         if file.suffix.lower() in MESH_SUFFIXES:
             self._elements[name] = (None, file)
@@ -134,14 +132,16 @@ class _DirectivesReader:
         parent, child = str(content.get("parent", "world")), str(content.get("child", ""))
         model, _, frame = child.partition("::")
         if model not in self._elements:
-            self.builder.warn(f"{self.path}: weld of {quoted(child)}: there is no such model; left out")
+            self.builder.warn(f"{self.path}: weld of {quoted(child)}: the model does not exist; left out")
             return
         base = self._frame(parent)
         if base is None:
             return
-        at = base @ self._transform(content.get("X_PC") or {})
+        T_world_child = base @ self._transform(content.get("X_PC") or {})
         element = self._elements[model][0]
-        self._poses[model] = at if element is None else self.models.weld(element, at, frame, f"model {model}")
+        self._poses[model] = (
+            T_world_child if element is None else self.models.weld(element, T_world_child, frame, f"model {model}")
+        )
 
     def _frame(self, name: str) -> F64 | None:
         """Returns T_world_frame (4, 4), or None after a warning."""

@@ -29,31 +29,31 @@ DESCRIPTION = "scene.yaml"
 """Name of the project's own description of a scene."""
 _WORLD_TAG = re.compile(rb"<world[\s>]")
 _HEAD_BYTES = 64 * 1024
-"""Bytes of an SDF file that are searched for a world, which begins near the top."""
+"""Maximum size of the beginning of an SDF file that is searched for ``<world>``, bytes."""
 _MAX_LISTED = 8
-"""Files that an error message names."""
+"""Maximum number of files that an error message names."""
 _MAX_ENTRIES = 50_000
-"""Files of a folder that are searched for worlds."""
+"""Maximum number of files of a folder that are searched for worlds."""
 
 
 def load_scene(name_or_path: str | Path, *, sdf_lamps: bool = False) -> SceneSpec:
-    """Returns a scene without robots; its ``warnings`` name everything that could not be used.
+    """Returns a scene without robots; its ``warnings`` name all elements that could not be used.
 
     Args:
         name_or_path: name of an installed scene; a folder with a scene.yaml, or with exactly one world; or a file: scene.yaml,
             SDF world, Drake model directives, glTF, GLB, OBJ, DAE, STL or PLY.
-        sdf_lamps: whether the lamps of an SDF world are point lights; False = they count as ambient light.
+        sdf_lamps: whether the point and spot lights of an SDF world are loaded; False = they count as ambient light.
 
     Raises:
-        SceneNotFoundError: there is no file or folder, or none that can be read.
-        SceneError: the description or a mesh is broken.
+        SceneNotFoundError: the file or folder does not exist, or holds no readable scene.
+        SceneError: the description or a mesh is invalid.
     """
     given = find_scene(name_or_path)
     return finish(read_scene(given, description_file(given), sdf_lamps=sdf_lamps))
 
 
 def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False) -> SceneBuilder:
-    """Returns a builder with everything that a scene's description names.
+    """Returns a builder with all elements of a scene's description.
 
     Args:
         given: file or folder that the user named.
@@ -61,8 +61,8 @@ def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False) -> SceneBuil
         sdf_lamps: as for ``load_scene``.
 
     Raises:
-        SceneNotFoundError: the file is of a kind that cannot be read.
-        SceneError: the description or a mesh is broken.
+        SceneNotFoundError: the format of the file is not supported.
+        SceneError: the description or a mesh is invalid.
     """
     reader, root = reader_and_root(file, given)
     name = given.name if is_folder(given) else file.parent.name if file.name == DESCRIPTION else file.name.split(".")[0]
@@ -91,12 +91,12 @@ def with_robots(scene: SceneSpec, robots: Iterable[RobotSpec]) -> SceneSpec:
     Raises:
         SceneError: two robots have the same name.
     """
-    every = (*scene.robots, *robots)
-    names = [robot.name for robot in every]
+    all_robots = (*scene.robots, *robots)
+    names = [robot.name for robot in all_robots]
     for name in names:
         if names.count(name) > 1:
             raise SceneError(f"scene {quoted(scene.name)}: robot name {quoted(name)} is used twice; names must be unique")
-    return dataclasses.replace(scene, robots=every)
+    return dataclasses.replace(scene, robots=all_robots)
 
 
 def description_file(path: Path) -> Path:
@@ -112,20 +112,22 @@ def description_file(path: Path) -> Path:
     files = [Path(folder) / name for folder, name in _walk(path)]
     worlds = [f for f in files if is_sdf_world(f) or f.name.endswith((".dmd.yaml", ".dmd.yml"))]
     meshes = [f for f in files if f.suffix.lower() in MESH_SUFFIXES]
-    found = sorted(worlds) or sorted(meshes)
-    if len(found) == 1:
-        return found[0]
-    if not found:
+    candidates = sorted(worlds) or sorted(meshes)
+    if len(candidates) == 1:
+        return candidates[0]
+    if not candidates:
         raise SceneNotFoundError(
             f"{path}: holds no scene: no {DESCRIPTION}, SDF world, .dmd.yaml or mesh ({', '.join(MESH_SUFFIXES)})"
         )
-    names = ", ".join(str(f.relative_to(path)) for f in found[:_MAX_LISTED])
-    more = f" and {len(found) - _MAX_LISTED} more" if len(found) > _MAX_LISTED else ""
-    raise SceneNotFoundError(f"{path}: holds {len(found)} {'worlds' if worlds else 'meshes'}, name one of them: {names}{more}")
+    names = ", ".join(str(f.relative_to(path)) for f in candidates[:_MAX_LISTED])
+    more = f" and {len(candidates) - _MAX_LISTED} more" if len(candidates) > _MAX_LISTED else ""
+    raise SceneNotFoundError(
+        f"{path}: holds {len(candidates)} {'worlds' if worlds else 'meshes'}, name one of them: {names}{more}"
+    )
 
 
 def _walk(path: Path) -> Iterable[tuple[str, str]]:
-    """Yields folder and name of all files below a folder that are not hidden."""
+    """Yields (folder, name) of all files below a folder that are not hidden."""
     count = 0
     for folder, folders, names in os.walk(path):
         folders[:] = sorted(f for f in folders if not f.startswith("."))
@@ -152,7 +154,7 @@ def reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Pa
     """Returns the reader of a description file, and the folder that all its files must lie in.
 
     Raises:
-        SceneNotFoundError: the file is no description of a scene.
+        SceneNotFoundError: the file is not a description of a scene.
     """
     suffix = file.suffix.lower()
     if file.name == DESCRIPTION:
@@ -162,17 +164,17 @@ def reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Pa
     if file.name.lower().endswith((".dmd.yaml", ".dmd.yml")):
         return read_drake_directives, _root(file, given)
     if suffix in MESH_SUFFIXES:
-        beside = given if is_folder(given) else file.parent
-        return _read_mesh, beside.parent if beside.name.lower() in ("mesh", "meshes") else beside
+        mesh_folder = given if is_folder(given) else file.parent
+        return _read_mesh, mesh_folder.parent if mesh_folder.name.lower() in ("mesh", "meshes") else mesh_folder
     if suffix in (".yaml", ".yml"):
         return read_scene_yaml, file.parent
     raise SceneNotFoundError(
-        f"{file}: is no scene; give {DESCRIPTION}, an SDF world, a .dmd.yaml or a mesh ({', '.join(MESH_SUFFIXES)})"
+        f"{file}: is not a scene; give {DESCRIPTION}, an SDF world, a .dmd.yaml or a mesh ({', '.join(MESH_SUFFIXES)})"
     )
 
 
 def _root(file: Path, given: Path) -> Path:
-    """Returns the nearest folder at or above a path that has a folder ``models``, as worlds and models often lie side by side; else the path's."""
+    """Returns the nearest folder at or above a path that contains a folder ``models``, since worlds are often beside it; else the path's folder."""
     start = given if is_folder(given) else file.parent
     return next((folder for folder in ancestors(start) if is_folder(folder / "models")), start)
 

@@ -24,18 +24,18 @@ _NUMBERS = {
     "top": ("span", "cut"),
 }  # fmt: skip
 _FOV_Y_DEG = {"follow": 60.0, "orbit": 60.0, "top": 30.0}
-"""Default vertical field of view, degrees; narrow from the top, where the sides of walls would show otherwise."""
+"""Default vertical field of view, degrees; narrow from the top, so that the sides of walls are hardly visible."""
 _OPTICS = ("fov_y_deg", "fov_deg", "k", "projection")
 _FILES = (".yaml", ".yml")
 
 
 def read_views(text: str, size: tuple[int, int] = (640, 480), rate_hz: float = 30.0) -> tuple[View, ...]:
-    """Returns the views that a list names, in its order.
+    """Returns the views of a comma-separated list, in its order.
 
     Args:
         text: parts separated by commas: ``follow``, ``orbit`` or ``top``, also with a target (``follow:left``), or files of cameras,
             each with a ``view`` or fixed to ``map``.
-        size: default width and height of views, pixels.
+        size: default (width, height) of views, pixels.
         rate_hz: default rate of views, images per second of simulation time.
 
     Raises:
@@ -51,12 +51,12 @@ def read_views(text: str, size: tuple[int, int] = (640, 480), rate_hz: float = 3
             views.append(_named_view(part, defaults))
     names = [view.camera.name for view in views]
     if len(set(names)) != len(names):
-        raise ConfigError(f"views are named {', '.join(names)}; names must differ")
+        raise ConfigError(f"views are named {', '.join(names)}; names must be unique")
     return tuple(views)
 
 
 def load_camera_file(path: Path, links: Collection[str]) -> tuple[tuple[CameraSpec, ...], tuple[View, ...]]:
-    """Returns the cameras on links and the views of a file; see ``load_cameras`` for the arguments.
+    """Returns the cameras on links and the views of a camera file; see ``load_cameras`` for the arguments.
 
     Raises:
         RobotError: the file cannot be read, or a key or a value is wrong.
@@ -65,12 +65,12 @@ def load_camera_file(path: Path, links: Collection[str]) -> tuple[tuple[CameraSp
     cameras = load_cameras(path, links)
     names = [*(camera.name for camera in cameras), *(view.camera.name for view in views)]
     if len(set(names)) != len(names):
-        raise RobotError(f"{path}: cameras are named {', '.join(names)}; names must differ")
+        raise RobotError(f"{path}: cameras are named {', '.join(names)}; names must be unique")
     return cameras, views
 
 
 def _named_view(part: str, defaults: Mapping[str, Any]) -> View:
-    """Returns the view that one part of a list names."""
+    """Returns the view of one part of the list."""
     kind, colon, target = (word.strip() for word in part.partition(":"))
     if kind not in _KINDS or bool(colon) != bool(target):
         known, hint = ", ".join(_KINDS), nearest(kind, tuple(_KINDS))
@@ -84,24 +84,24 @@ def _named_view(part: str, defaults: Mapping[str, Any]) -> View:
 
 
 def _view(entry: YamlMap, defaults: Mapping[str, Any]) -> View:
-    """Returns a view from an entry of a file of cameras."""
+    """Returns the view of an entry of a camera file."""
     if "view" not in entry.values:
         if entry.values.get("link") != WORLD_FRAME:
             raise RobotError(
                 f"{entry.where}: a view has the key 'view', or link: {WORLD_FRAME}; cameras on links belong in a robot.yaml"
             )
         camera = _camera(entry, {"outputs": ["rgb"], **defaults, **entry.values})
-        return View(replace(camera, link=camera.name, pose=Pose()), Fixed(camera.pose), own_near=True)
+        return View(replace(camera, link=camera.name, pose=Pose()), Fixed(camera.pose), near_requested=True)
     for key in ("link", "pose"):
         if key in entry.values:
-            raise RobotError(f"{entry.where}: a view takes no {key}, its kind decides where it is; leave {key} or view out")
+            raise RobotError(f"{entry.where}: a view has no {key}, its kind determines its pose; leave {key} or view out")
     section = _section(entry)
     kind = section.text("kind")
     values = {"outputs": ["rgb"], **defaults, **{k: v for k, v in entry.values.items() if k != "view"}, "link": WORLD_FRAME}
     if kind in _FOV_Y_DEG and not any(key in values for key in _OPTICS):
         values["fov_y_deg"] = _FOV_Y_DEG[kind]
     camera = _camera(entry, values)
-    return View(replace(camera, link=camera.name, pose=Pose()), _motion(section, kind), own_near="near" in entry.values)
+    return View(replace(camera, link=camera.name, pose=Pose()), _motion(section, kind), near_requested="near" in entry.values)
 
 
 def _camera(entry: YamlMap, values: Mapping[str, Any]) -> CameraSpec:
@@ -113,9 +113,9 @@ def _camera(entry: YamlMap, values: Mapping[str, Any]) -> CameraSpec:
 
 
 def _section(entry: YamlMap) -> YamlMap:
-    """Returns the mapping under ``view``, whose value may be the kind alone."""
-    given = entry.values["view"]
-    values = {"kind": given} if isinstance(given, str) else given
+    """Returns the mapping under ``view``, whose value may also be only the kind."""
+    content = entry.values["view"]
+    values = {"kind": content} if isinstance(content, str) else content
     return entry.within(values, "view")
 
 
@@ -131,7 +131,7 @@ def _motion(section: YamlMap, kind: str) -> Motion:
     if "center" in section.values:
         center, count = section.floats("center"), {"orbit": 3, "top": 2}[kind]
         if len(center) != count:
-            raise RobotError(f"{section.where}: center has {len(center)} numbers, that of a view {quoted(kind)} has {count}")
+            raise RobotError(f"{section.where}: center has {len(center)} numbers, must have {count} for kind {quoted(kind)}")
         values["center"] = center
         if kind == "orbit":
             values.setdefault("target", "")

@@ -1,4 +1,4 @@
-"""Makes a rigid body from a mesh file, with the mass and inertia of its convex hull at uniform density."""
+"""Builds a rigid body from a mesh file, with the mass and inertia of its convex hull at uniform density."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from gibson_sim.types import Pose
 
 F64 = NDArray[np.float64]
 DENSITY = 300.0
-"""Density of the hull, kg/m^3; about right for furniture and vessels, which are hollow."""
+"""Density of the hull, kg/m^3; a typical value for furniture and vessels, which are hollow."""
 MASS_RANGE = (0.01, 100.0)
-"""Least and largest mass, kg."""
+"""Minimum and maximum mass, kg."""
 FRICTION = 0.5
 """Coulomb friction coefficient."""
 LINK = "body"
 """Name of the only link."""
 _THINNEST = 1e-3
-"""Least thickness of the box that stands for flat points, metres."""
+"""Minimum side of the box that replaces the hull of flat points, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,15 +32,15 @@ class MassProperties:
     """Mass properties of a solid of density 1."""
 
     volume: float
-    """m^3."""
+    """Volume, m^3."""
     center: F64
-    """(3,), centre of mass in the frame of the points, metres."""
+    """Centre of mass in the frame of the points, (3,), metres."""
     inertia: F64
-    """(3, 3), about the centre of mass, m^5."""
+    """Inertia about the centre of mass at density 1, (3, 3), m^5."""
 
 
 def mesh_body(path: Path, loader: MeshLoader) -> UrdfModel:
-    """Returns a model of one link whose visual is the mesh; physics collides its convex hull.
+    """Returns a model with one link whose visual and collision shape is the mesh; physics uses its convex hull.
 
     Args:
         path: the mesh file.
@@ -68,7 +68,7 @@ def mesh_body(path: Path, loader: MeshLoader) -> UrdfModel:
 
 
 def hull_mass_properties(points: F64) -> MassProperties:
-    """Returns the mass properties of the convex hull of points (N, 3), metres; of a thin box if they lie in a plane or on a line."""
+    """Returns the mass properties of the convex hull of points (N, 3), metres; those of a thin box if they are coplanar or collinear."""
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
@@ -76,8 +76,8 @@ def hull_mass_properties(points: F64) -> MassProperties:
     if hull.volume < _THINNEST**3:
         return _box_mass_properties(points)
     # Tetrahedra from an interior point to every triangle of the hull; all lie inside the hull, so their orientation does not matter.
-    inside = points[hull.vertices].mean(axis=0)
-    corners = points[hull.simplices] - inside
+    interior = points[hull.vertices].mean(axis=0)
+    corners = points[hull.simplices] - interior
     volumes = np.abs(np.linalg.det(corners)) / 6.0
     volume = float(volumes.sum())
     sums = corners.sum(axis=1)
@@ -85,7 +85,7 @@ def hull_mass_properties(points: F64) -> MassProperties:
     # Second moments of a tetrahedron with corners 0, v_1, v_2, v_3: V/20 (sum of v_k v_k^T + s s^T), where s is the sum of v_k.
     second = np.einsum("f,fki,fkj->ij", volumes, corners, corners) + np.einsum("f,fi,fj->ij", volumes, sums, sums)
     second = second / 20.0 - volume * np.outer(center, center)
-    return MassProperties(volume, inside + center, np.trace(second) * np.eye(3) - second)
+    return MassProperties(volume, interior + center, np.trace(second) * np.eye(3) - second)
 
 
 def _box_mass_properties(points: F64) -> MassProperties:

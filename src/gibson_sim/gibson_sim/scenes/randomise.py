@@ -1,7 +1,7 @@
-"""Domain randomisation: other lights, colours, textures and materials for the same geometry, all from one seed.
+"""Domain randomisation: varies lights, colours, textures and materials of the same geometry, from one seed.
 
-Every value is drawn from a named PCG64 stream. A visual has a stream of its own, from the seed and its name (or its class), so that
-adding or removing one thing changes no other. docs/scenes.md lists the keys of a file of rules.
+Every value is sampled from a named PCG64 stream. Each visual has its own stream, derived from the seed and its name (or its class), so that
+adding or removing one visual does not change the others. docs/scenes.md lists the keys of a rules file.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec
 from gibson_sim.types import Vec3
 
 Range = tuple[float, float]
-"""Smallest and largest value of a uniform distribution."""
+"""Minimum and maximum of a uniform distribution."""
 EVERY_CLASS = "*"
-"""Key of the rules for all classes that have none of their own."""
+"""Key of the rules for all classes without their own rules."""
 NOISES = 16
-"""Number of noise textures to choose from: each is an image in GPU memory, while colours and sizes cost nothing."""
+"""Number of noise textures to choose from: each of them takes GPU memory, unlike colours and sizes."""
 _NEUTRAL: Range = (1.0, 1.0)
 _MAX_STRENGTH = 1000.0
-"""Largest strength of light that rules may give."""
+"""Maximum strength of light in rules."""
 
 _CLASS_KEYS = ("hue", "saturation", "value", "metallic", "roughness", "texture", "by")
 _TEXTURE_KEYS = ("chance", "patterns", "images", "size")
@@ -45,16 +45,16 @@ _LIGHT_KEYS = (
 
 @dataclass(frozen=True, slots=True)
 class TextureRules:
-    """How textures are replaced."""
+    """Replacement of textures."""
 
     chance: float = 1.0
     """Probability that a visual gets another texture, 0 to 1."""
     patterns: tuple[PatternKind, ...] = ("noise", "stripes", "checker")
     """Generated textures to choose from, in random colours."""
     images: tuple[str, ...] = ()
-    """Image files to choose from, absolute paths; each is as likely as a pattern."""
+    """Image files to choose from, absolute paths; each has the same probability as a pattern."""
     size: Range = (0.25, 1.0)
-    """Period of a texture, metres, uniform in its logarithm."""
+    """Period of a texture, metres, log-uniform."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,59 +62,59 @@ class ClassRules:
     """Changes to the visuals of a semantic class."""
 
     hue: Range = (0.0, 0.0)
-    """Shift of the hue, turns of the colour circle."""
+    """Shift of the hue, 1 = a full circle."""
     saturation: Range = _NEUTRAL
-    """Factor."""
+    """Factor on the saturation."""
     value: Range = _NEUTRAL
-    """Factor."""
+    """Factor on the value (HSV)."""
     metallic: Range | None = None
-    """0 to 1; None = as in the material."""
+    """Metalness, 0 to 1; None = no change."""
     roughness: Range | None = None
-    """0 to 1; None = as in the material."""
+    """Roughness, 0 to 1; None = no change."""
     texture: TextureRules | None = None
-    """None = textures stay."""
+    """Replacement of textures; None = no change."""
     by: Literal["visual", "class"] = "visual"
-    """Whether each visual of the class changes independently, or all alike."""
+    """Whether values are sampled for each visual or once for the whole class."""
 
 
 @dataclass(frozen=True, slots=True)
 class LightRules:
-    """Changes to the light; None = as in the scene."""
+    """Changes to the light; None = no change."""
 
     sun_azimuth: Range | None = None
     """Direction towards the sun, radians, counter-clockwise from +x of the world."""
     sun_elevation: Range | None = None
-    """Height of the sun above the horizon, radians."""
+    """Elevation of the sun above the horizon, radians."""
     sun: Range | None = None
-    """Strength, as ``LightSpec.sun``."""
+    """Strength of the sun, as ``LightSpec.sun``."""
     ambient: Range | None = None
-    """Strength, as ``LightSpec.ambient``."""
+    """Strength of the ambient light, as ``LightSpec.ambient``."""
     temperature_k: Range | None = None
     """Colour temperature of the sun, and of each lamp independently, kelvin."""
     point_strength: Range | None = None
     """Factor on each lamp's strength."""
     environment_yaw: Range | None = None
-    """As ``LightSpec.environment_yaw``, radians."""
+    """Rotation of the environment, as ``LightSpec.environment_yaw``, radians."""
     environment_strength: Range | None = None
     """Factor on the strength of the environment map."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """All rules; whatever they do not name stays as it is."""
+    """All rules; properties without a rule do not change."""
 
     classes: Mapping[str, ClassRules] = field(default_factory=dict)
-    """By semantic class; ``unlabelled`` = visuals without a class; ``*`` = all other classes."""
+    """Semantic class -> rules; ``unlabelled`` = visuals without a class; ``*`` = all other classes."""
     light: LightRules = field(default_factory=LightRules)
 
 
 def randomise(scene: DrawnScene, seed: int, rules: Rules) -> DrawnScene:
-    """Returns the scene with another appearance and the same geometry, classes and cameras.
+    """Returns the scene with a randomised appearance and the same geometry, classes and cameras.
 
-    The same scene, seed and rules give the same result on every machine.
+    The result is deterministic for a scene, seed and rules, on every machine.
     """
     visuals = tuple(_visual(visual, seed, rules) for visual in scene.visuals)
-    # Caches by content hash must not confuse one appearance with another.
+    # Caches keyed by content hash must not confuse two appearances.
     digest = hashlib.sha256(f"{scene.content_hash} {seed} {quoted(rules)}".encode()).hexdigest() if scene.content_hash else ""
     return replace(scene, visuals=visuals, light=_light(scene.light, seed, rules.light), content_hash=digest)
 
@@ -123,7 +123,7 @@ def load_rules(path: Path) -> Rules:
     """Returns the rules in a YAML file.
 
     Raises:
-        SceneError: the file cannot be read, or a key or a value is wrong.
+        SceneError: the file cannot be read, or a key or a value is invalid.
     """
     top = read_yaml_map(path, ("classes", "light"))
     classes = top.value("classes") or {}
@@ -137,9 +137,9 @@ def load_rules(path: Path) -> Rules:
 
 
 def color_of_temperature(kelvin: float) -> Vec3:
-    """Returns the sRGB colour, its brightest channel at 1, of a black body at 1667 to 25000 K.
+    """Returns the sRGB colour of a black body at 1667 to 25000 K, normalised to a maximum channel of 1.
 
-    Chromaticity by the cubic approximation of the Planckian locus of Kim et al. (2002).
+    The chromaticity is the cubic approximation of the Planckian locus by Kim et al. (2002).
     """
     t = 1e3 / min(max(kelvin, 1667.0), 25000.0)
     if t > 1.0 / 4.0:
@@ -160,12 +160,12 @@ def color_of_temperature(kelvin: float) -> Vec3:
 
 
 def _stream(seed: int, *names: str) -> np.random.Generator:
-    """Returns a random stream that depends on the seed and the names alone."""
+    """Returns a random generator that depends only on the seed and the names."""
     digest = hashlib.sha256("\0".join((str(seed), *names)).encode()).digest()
     return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "little")))
 
 
-def _pick(rng: np.random.Generator, limits: Range) -> float:
+def _sample(rng: np.random.Generator, limits: Range) -> float:
     return float(rng.uniform(*limits))
 
 
@@ -176,21 +176,21 @@ def _visual(visual: VisualSpec, seed: int, rules: Rules) -> VisualSpec:
         return visual
     name = visual.name if rule.by == "visual" else ""
     rng = _stream(seed, "look", semantic_class, name)
-    # Values without a rule are drawn too, so that adding a rule does not change what the others yield.
-    hue, saturation, value = _pick(rng, rule.hue), _pick(rng, rule.saturation), _pick(rng, rule.value)
-    metallic, roughness = (_pick(_stream(seed, what, semantic_class, name), limits) if limits else None for what, limits in (
+    # Values without a rule are sampled too, so that adding a rule does not change the other values.
+    hue, saturation, value = _sample(rng, rule.hue), _sample(rng, rule.saturation), _sample(rng, rule.value)
+    metallic, roughness = (_sample(_stream(seed, what, semantic_class, name), limits) if limits else None for what, limits in (
         ("metallic", rule.metallic), ("roughness", rule.roughness)))  # fmt: skip
     pattern = _pattern(_stream(seed, "texture", semantic_class, name), rule.texture)
-    old = visual.appearance or Appearance()
+    previous = visual.appearance or Appearance()
     return replace(
         visual,
         appearance=Appearance(
-            old.hue + hue,
-            old.saturation * saturation,
-            old.value * value,
-            old.pattern if pattern is None else pattern,
-            old.metallic if metallic is None else metallic,
-            old.roughness if roughness is None else roughness,
+            previous.hue + hue,
+            previous.saturation * saturation,
+            previous.value * value,
+            previous.pattern if pattern is None else pattern,
+            previous.metallic if metallic is None else metallic,
+            previous.roughness if roughness is None else roughness,
         ),
     )
 
@@ -203,7 +203,7 @@ def _pattern(rng: np.random.Generator, rules: TextureRules | None) -> Pattern | 
         return None
     kind, image = choices[int(rng.integers(len(choices)))]
     low, high = rules.size
-    size = math.exp(_pick(rng, (math.log(low), math.log(high))))
+    size = math.exp(_sample(rng, (math.log(low), math.log(high))))
     colors = (_color(rng), _color(rng))
     return Pattern(kind, int(rng.integers(NOISES)), colors, size, image)
 
@@ -215,7 +215,7 @@ def _color(rng: np.random.Generator) -> Vec3:
 
 def _light(light: LightSpec, seed: int, rules: LightRules) -> LightSpec:
     def value(what: str, limits: Range | None, default: float) -> float:
-        return default if limits is None else _pick(_stream(seed, "light", what), limits)
+        return default if limits is None else _sample(_stream(seed, "light", what), limits)
 
     def color(what: str, default: Vec3) -> Vec3:
         return default if rules.temperature_k is None else color_of_temperature(value(what, rules.temperature_k, 6500.0))
@@ -282,18 +282,18 @@ def _texture_rules(item: YamlMap, path: Path) -> TextureRules:
 
 
 def _images(item: YamlMap, path: Path) -> tuple[str, ...]:
-    """Returns the image files of the folder ``images``, a path relative to the file of rules, in alphabetical order."""
+    """Returns the image files in the folder ``images``, a path relative to the rules file, in alphabetical order."""
     if not item.has("images"):
         return ()
     folder = path.parent / item.text("images", "")
     if not is_folder(folder):
         raise SceneError(f"{item.where}: images is {quoted(str(folder))}, must be a folder")
-    found = tuple(str(p.resolve()) for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES)
-    if not found:
+    files = tuple(str(p.resolve()) for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES)
+    if not files:
         raise SceneError(
             f"{item.where}: images is {quoted(str(folder))}, which holds no image; known: {', '.join(IMAGE_SUFFIXES)}"
         )
-    return found
+    return files
 
 
 def _light_rules(item: YamlMap) -> LightRules:
@@ -314,12 +314,12 @@ def _degrees(limits: Range | None) -> Range | None:
 
 
 def _range(item: YamlMap, key: str, low: float, high: float) -> Range | None:
-    """Returns the smallest and largest value of a key, which may be one number for both; None = the key has no value."""
+    """Returns the minimum and maximum in the value of a key, which may be a single number; None = the key has no value."""
     if not item.has(key):
         return None
     if not isinstance(item.value(key), list):
-        only = item.number(key, low=low, high=high)
-        return (only, only)
+        number = item.number(key, low=low, high=high)
+        return (number, number)
     first, last = item.floats(key, 2, low, high)
     if first > last:
         raise SceneError(f"{item.where}: {key} is [{first:g}, {last:g}], the first must not be greater than the second")

@@ -1,4 +1,4 @@
-"""Loads robots and measures their meshes, as wheels and bodies can be meshes; ``robots.load`` alone reads no meshes."""
+"""Loads robots and measures the meshes of their wheels and bodies; ``robots.load`` itself reads no meshes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.types import Pose
 
 _MAX_BYTES = 64_000_000
-"""Largest size of a mesh that is measured."""
+"""Maximum size of a mesh file that is measured, bytes."""
 
 
 def load_robot(
@@ -25,6 +25,6 @@ def load_robot(
 
 
 def mesh_points() -> Callable[[Path], NDArray[np.float64]]:
-    """Returns a function from the path of a mesh file to its vertices (N, 3), metres, that reads each file once."""
+    """Returns a function that maps the path of a mesh file to its vertices (N, 3), metres, and reads each file once."""
     loader = MeshLoader(None, textures=False, max_bytes=_MAX_BYTES)
     return lambda path: loader.mesh(path).merged()[0]

@@ -1,4 +1,4 @@
-"""Rooms that a scene names, with their class and outline. Pure values; ``maps.rooms`` finds rooms in a map."""
+"""Rooms of a scene, with class and outline. Pure values; ``maps.rooms`` segments rooms in a map."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from gibson_sim.quoting import quoted
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 MAX_CORNERS = 1000
-"""Corners of a room's outline."""
+"""Maximum number of corners of a room's outline."""
 _MIN_AREA = 0.01
-"""Least area of a room, square metres."""
+"""Minimum area of a room, square metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +24,16 @@ class RoomSpec:
     """A room of a building.
 
     Raises:
-        SceneError: its outline has too few or too many corners, no area, or crosses itself.
+        SceneError: the outline has too few or too many corners, too small an area, or intersects itself.
     """
 
     name: str
     room_class: str
-    """Its use: ``kitchen``, ``bedroom``, ``corridor``, ..."""
+    """Type of the room: ``kitchen``, ``bedroom``, ``corridor``, ..."""
     floor: int
-    """Number of its floor, 0 = the lowest: an index of ``SceneSpec.floors``."""
+    """Index of its floor in ``SceneSpec.floors``, 0 = the lowest."""
     polygon: tuple[tuple[float, float], ...]
-    """Its corners in clockwise or counter-clockwise order, world metres."""
+    """Corners in clockwise or counter-clockwise order, world metres."""
 
     def __post_init__(self) -> None:
         count = len(self.polygon)
@@ -41,13 +41,13 @@ class RoomSpec:
             raise SceneError(f"room {quoted(self.name)}: polygon has {count} corners, must have 3 to {MAX_CORNERS}")
         if self.area < _MIN_AREA:
             raise SceneError(
-                f"room {quoted(self.name)}: polygon encloses {self.area:g} m^2, must be at least {_MIN_AREA} m^2; give its corners in order"
+                f"room {quoted(self.name)}: polygon has an area of {self.area:g} m^2, must be at least {_MIN_AREA} m^2; give its corners in order"
             )
         crossing = _crossing_edges(_corners(self))
         if crossing is not None:
             first, second = ((edge, (edge + 1) % count) for edge in crossing)
             raise SceneError(
-                f"room {quoted(self.name)}: the edge between corners {first[0]} and {first[1]} of its polygon meets the one between "
+                f"room {quoted(self.name)}: the edge between corners {first[0]} and {first[1]} of its polygon intersects the one between "
                 f"{second[0]} and {second[1]}; give its corners in order"
             )
 
@@ -58,7 +58,7 @@ class RoomSpec:
         return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
     def contains(self, xy: ArrayLike) -> Bools:
-        """Returns (...,): which of the points (..., 2), world metres, lie in the room.
+        """Returns (...,), whether points (..., 2), world metres, lie in the room.
 
         A point on the common edge of two rooms lies in exactly one of them.
         """
@@ -72,7 +72,7 @@ class RoomSpec:
 
 
 def room_at(rooms: Iterable[RoomSpec], x: float, y: float, floor: int) -> RoomSpec | None:
-    """Returns the first room of a floor that contains a point, world metres; None = none of them."""
+    """Returns the first room of a floor that contains a point, world metres; None = no room contains it."""
     return next((room for room in rooms if room.floor == floor and bool(room.contains((x, y)))), None)
 
 
@@ -82,22 +82,24 @@ def _corners(room: RoomSpec) -> F64:
 
 
 def _crossing_edges(corners: F64) -> tuple[int, int] | None:
-    """Returns two edges of an outline (K, 2), by their first corners, that meet but are not neighbours; None = there are none."""
+    """Returns two edges of an outline (K, 2), as indices of their first corners, that intersect but are not adjacent; None = no such edges."""
     a, b = corners, np.roll(corners, -1, axis=0)
     count = len(corners)
     for first in range(count - 2):
         others = np.arange(first + 2, count - (first == 0))
         c, d = a[others], b[others]
         start, end = a[first], b[first]
-        apart = (_side(start, end, c) * _side(start, end, d) > 0) | (_side(c, d, start) * _side(c, d, end) > 0)
-        beside = (np.maximum(c, d) < np.minimum(start, end)).any(axis=1) | (np.minimum(c, d) > np.maximum(start, end)).any(axis=1)
-        meet = np.flatnonzero(~apart & ~beside)
-        if len(meet):
-            return first, int(others[meet[0]])
+        separated = (_side(start, end, c) * _side(start, end, d) > 0) | (_side(c, d, start) * _side(c, d, end) > 0)
+        disjoint = (np.maximum(c, d) < np.minimum(start, end)).any(axis=1) | (np.minimum(c, d) > np.maximum(start, end)).any(
+            axis=1
+        )
+        crossing = np.flatnonzero(~separated & ~disjoint)
+        if len(crossing):
+            return first, int(others[crossing[0]])
     return None
 
 
 def _side(a: F64, b: F64, point: F64) -> F64:
-    """Returns the side of a point (..., 2) of the line from a to b, (..., 2): positive = left; broadcasts."""
+    """Returns (...,): positive where a point (..., 2) is left of the line from a to b, (..., 2); broadcasts."""
     along, to = b - a, point - a
     return np.asarray(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])

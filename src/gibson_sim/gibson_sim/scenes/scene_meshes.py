@@ -1,4 +1,4 @@
-"""The folders of a scene's meshes, and its collision shapes as triangles."""
+"""Folders of a scene's meshes, and its collision shapes as triangles."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 
 
 def scene_roots(scene: SceneSpec) -> tuple[Path, ...]:
-    """Returns the folders that meshes of the scene may lie in, for a ``MeshLoader``.
+    """Returns the allowed folders of the scene's meshes, for a ``MeshLoader``.
 
-    The loader of the scene has checked each path already, so the folders of the shapes themselves are among them.
+    They include the folders of the shapes themselves, since the loader of the scene has already checked their paths.
     """
     return (scene.root, *mesh_folders([v.shape for v in scene.visuals] + [c.shape for c in scene.collisions]))
 
 
 def shape_triangles(loader: MeshLoader, collision: CollisionSpec) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Returns one collision shape in the world frame: vertices (V, 3), metres, and triangles (F, 3)."""
+    """Returns a collision shape in the world frame: vertices (V, 3), metres, and triangles (F, 3)."""
     vertices, triangles = loader.shape(collision.shape).merged()
     return transform_points(matrix_from_pose(collision.pose), vertices), triangles
 
@@ -34,5 +34,5 @@ def collision_triangles(scene: SceneSpec, loader: MeshLoader | None = None) -> t
         scene: the scene.
         loader: reads the meshes; None = a new one.
     """
-    used = loader or MeshLoader(scene_roots(scene), textures=False)
-    return merge([shape_triangles(used, collision) for collision in scene.collisions])
+    mesh_loader = loader or MeshLoader(scene_roots(scene), textures=False)
+    return merge([shape_triangles(mesh_loader, collision) for collision in scene.collisions])

@@ -61,25 +61,25 @@ _START_KEYS = ("name", "xy", "xyz", "yaw_deg")
 
 _UP_AXES: dict[str, UpAxis] = {"x": "x", "y": "y", "z": "z"}
 _BODY_SCALES = (0.01, 100.0)
-"""Smallest and largest scale of a body."""
+"""Minimum and maximum scale of a body."""
 
 
 def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
     """Adds the content of a scene.yaml to the builder.
 
     Raises:
-        SceneError: a key or a value is wrong, or a mesh or a model cannot be used.
+        SceneError: a key or a value is invalid, or a mesh or a model cannot be used.
     """
     try:
         document = parse_yaml(builder.read_bytes(path))
     except TextError as e:
-        raise SceneError(f"{path}: {e}").telling(e.public) from e
+        raise SceneError(f"{path}: {e}").with_public(e.public) from e
     top = YamlMap(document if document is not None else {}, str(path), _SCENE_KEYS)
     builder.name = top.text("name", builder.name)
     builder.description = top.text("description", "")
     gravity = top.value("gravity")
     if gravity is not None:
-        # A single number is the magnitude of a gravity that points down.
+        # A single number is the magnitude of gravity, which points down.
         builder.gravity = (0.0, 0.0, -top.number("gravity")) if isinstance(gravity, int | float) else top.vec3("gravity")
     builder.ground_z = top.number("ground_z") if top.has("ground_z") else None
     builder.floor_z = top.number("floor_z") if top.has("floor_z") else None
@@ -144,30 +144,30 @@ def _point(point: YamlMap) -> PointLight:
 
 
 def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
-    given = [kind for kind in _SHAPES if item.has(kind)]
-    if len(given) != 1:
-        raise SceneError(f"{item.where}: has {', '.join(given) or 'no shape'}; give exactly one of {', '.join(_SHAPES)}")
-    name = item.text("name", Path(str(item.value("mesh", given[0]))).stem)
+    shapes = [kind for kind in _SHAPES if item.has(kind)]
+    if len(shapes) != 1:
+        raise SceneError(f"{item.where}: has {', '.join(shapes) or 'no shape'}; give exactly one of {', '.join(_SHAPES)}")
+    name = item.text("name", Path(str(item.value("mesh", shapes[0]))).stem)
     item.where = f"{path}: object {quoted(name)}"
     matrix = matrix_from_pose(_pose(item))
-    if given[0] == "mesh":
-        shape, at = _mesh(builder, path, item, item.text("mesh", ""), matrix)
+    if shapes[0] == "mesh":
+        shape, T_world_shape = _mesh(builder, path, item, item.text("mesh", ""), matrix)
     else:
         for key in ("scale", "up_axis", "unit_m"):
             if item.has(key):
-                raise SceneError(f"{item.where}: {key} is for meshes; a {given[0]} has its size in metres")
-        shape, at = _primitive(item, given[0]), matrix
+                raise SceneError(f"{item.where}: {key} is for meshes; a {shapes[0]} has its size in metres")
+        shape, T_world_shape = _primitive(item, shapes[0]), matrix
     collision = "none" if item.value("collision", "same") is None else item.text("collision", "same")
     if item.flag("visible", True):
-        builder.add_visual(name, shape, at, _color(item), item.text("semantic_class", ""), _appearance(item))
+        builder.add_visual(name, shape, T_world_shape, _color(item), item.text("semantic_class", ""), _appearance(item))
     elif collision == "none":
-        raise SceneError(f"{item.where}: visible is false and collision none: nothing is left of it; leave it out")
+        raise SceneError(f"{item.where}: visible is false and collision none, so it has no effect; leave it out")
     if collision == "same":
-        builder.add_collision(name, shape, at)
+        builder.add_collision(name, shape, T_world_shape)
     elif collision == "simplified":
         if shape.kind != "mesh":
-            raise SceneError(f"{item.where}: collision is simplified, which is for meshes; a {shape.kind} is as simple as can be")
-        builder.add_simplified_collision(name, shape, at)
+            raise SceneError(f"{item.where}: collision simplified is for meshes; a {shape.kind} is simple already")
+        builder.add_simplified_collision(name, shape, T_world_shape)
     elif collision != "none":
         builder.add_collision(name, *_mesh(builder, path, item, collision, matrix))
 
@@ -175,7 +175,7 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
 def _splats(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
     name = item.text("splats", "").strip()
     if not name:
-        raise SceneError(f"{item.where}: has no splats; give the name of a PLY or SPZ file in the scene's folder")
+        raise SceneError(f"{item.where}: has no key splats; give the name of a PLY or SPZ file in the scene's folder")
     pose, scale, up_axis = _pose(item), item.number("scale", 1.0, *SPLAT_SCALES), _up_axis(item)
     try:
         builder.set_splats(path.parent / name, matrix_from_pose(pose), scale, up_axis)
@@ -184,7 +184,7 @@ def _splats(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
 
 
 def _up_axis(item: YamlMap) -> UpAxis | None:
-    """Returns the value of ``up_axis``; None = not given."""
+    """Returns the value of ``up_axis``; None = the key is missing."""
     if not item.has("up_axis"):
         return None
     up_axis = _UP_AXES.get(item.text("up_axis", ""))
@@ -232,14 +232,14 @@ def _color(item: YamlMap) -> Rgba | None:
 
 
 def _rooms(builder: SceneBuilder, top: YamlMap) -> None:
-    """Adds the rooms to the builder, which must have its floors already."""
+    """Adds the rooms to the builder, whose floors must be set before."""
     floors = len({builder.floor_z, *builder.floors}) if builder.floors else 1
     names: set[str] = set()
     for index, content in enumerate(top.items("rooms")):
         item = top.within(content, f"rooms[{index}]", _ROOM_KEYS)
         room = _room(item, floors)
         if room.name in names:
-            raise SceneError(f"{item.where}: name {quoted(room.name)} is used twice; names of rooms must differ")
+            raise SceneError(f"{item.where}: name {quoted(room.name)} is used twice; names of rooms must be unique")
         names.add(room.name)
         builder.rooms.append(room)
 
@@ -251,7 +251,11 @@ def _room(item: YamlMap, floors: int) -> RoomSpec:
             raise SceneError(f"{item.where}: has no {key}; give one, such as kitchen")
     floor = item.value("floor", 0)
     if not isinstance(floor, int) or isinstance(floor, bool) or not 0 <= floor < floors:
-        known = "0, the scene has one floor" if floors == 1 else f"a whole number from 0 to {floors - 1}, as floors has it"
+        known = (
+            "0, the scene has one floor"
+            if floors == 1
+            else f"a whole number from 0 to {floors - 1}, the index of one of the floors"
+        )
         raise SceneError(f"{item.where}: floor is {quoted(floor)}, must be {known}")
     corners = [
         item.within({"corner": corner}, f"polygon[{k}]").floats("corner", 2, -FAR_AWAY, FAR_AWAY)
@@ -264,7 +268,7 @@ def _room(item: YamlMap, floors: int) -> RoomSpec:
 
 
 def _bodies(builder: SceneBuilder, path: Path, top: YamlMap) -> None:
-    """Adds the bodies of the scene.yaml at ``path`` to the builder; each model is read once."""
+    """Adds the bodies of the scene.yaml at ``path`` to the builder; reads each model once."""
     models: dict[str, BodySpec] = {}
     for index, content in enumerate(top.items("bodies")):
         item = top.within(content, f"bodies[{index}]", _BODY_KEYS)
@@ -298,7 +302,7 @@ def _add_body(builder: SceneBuilder, item: YamlMap, body: BodySpec) -> None:
 
 
 def _read_model(builder: SceneBuilder, path: Path, model: str, where: str) -> BodySpec:
-    """Returns the body that a model describes, at the origin; ``model`` is the name of an object or a path below the scene's folder."""
+    """Returns the body of a model at the origin; ``model``: name of an object, or path relative to the scene's folder."""
     is_file = "/" in model or "." in model
     if "://" in model or model.startswith(("/", "~")):
         raise SceneError(f"{where}: model is {quoted(model)}; give the name of an object, or a path below the scene's folder")
@@ -309,7 +313,7 @@ def _read_model(builder: SceneBuilder, path: Path, model: str, where: str) -> Bo
         raise SceneError(f"{where}: {e}") from e
     if not isinstance(spec, BodySpec):
         raise SceneError(
-            f"{where}: model {quoted(model)} is a robot; robots are not part of a scene: give it as --robot, or spawn it"
+            f"{where}: model {quoted(model)} is a robot; robots are not part of a scene: add it with --robot, or spawn it"
         )
     return spec
 
@@ -317,10 +321,10 @@ def _read_model(builder: SceneBuilder, path: Path, model: str, where: str) -> Bo
 def _joints(item: YamlMap, model: UrdfModel) -> tuple[tuple[str, float], ...]:
     """Returns the start positions of joints, radians or metres, in the order of the model."""
     moving = {joint.name: joint for joint in model.joints if joint.kind in MOVING_TYPES}
-    given = item.value("joints") or {}
-    if given and not moving:
-        raise SceneError(f"{item.where}: joints are given, but {model.path.name} has none that moves; leave them out")
-    joints = item.within(given, "joints", tuple(moving))
+    positions = item.value("joints") or {}
+    if positions and not moving:
+        raise SceneError(f"{item.where}: joints are given, but {model.path.name} has no movable joints; leave them out")
+    joints = item.within(positions, "joints", tuple(moving))
     return tuple((name, _position(joints, joint)) for name, joint in moving.items() if joints.has(name))
 
 
@@ -331,7 +335,7 @@ def _position(joints: YamlMap, joint: UrdfJoint) -> float:
     if joint.kind == "prismatic":
         return joints.number(joint.name, low=low, high=high)
     if limited:
-        # Limits are often whole degrees, which radians cannot hold exactly: they are rounded outwards to a thousandth of a degree.
+        # Limits are often whole degrees, which are not exact in radians: round them outwards to a thousandth of a degree.
         lowest, highest = math.floor(math.degrees(low) * 1000) / 1000, math.ceil(math.degrees(high) * 1000) / 1000
         return min(max(math.radians(joints.number(joint.name, low=lowest, high=highest)), low), high)
     return math.radians(joints.number(joint.name))
@@ -340,14 +344,14 @@ def _position(joints: YamlMap, joint: UrdfJoint) -> float:
 def _check_name(name: str, builder: SceneBuilder, where: str) -> None:
     if not ROS_NAME.fullmatch(name):
         raise SceneError(
-            f"{where}: name is {quoted(name)}; it becomes part of frames in ROS: use letters, digits and _, a letter first"
+            f"{where}: name is {quoted(name)}; it becomes part of ROS frame names: use letters, digits and _, a letter first"
         )
     if any(name == body.name for body in builder.bodies):
-        raise SceneError(f"{where}: name {quoted(name)} is used twice; names of bodies must differ")
+        raise SceneError(f"{where}: name {quoted(name)} is used twice; names of bodies must be unique")
 
 
 def _free_name(base: str, builder: SceneBuilder) -> str:
-    """Returns the name of a body without one: ``base``, or ``base`` with _2, _3, ... if other bodies have it already."""
+    """Returns a unique name for a body: ``base``, or ``base`` with _2, _3, ... if other bodies have that name."""
     used = {body.name for body in builder.bodies}
     name, number = base, 1
     while name in used:
@@ -365,7 +369,7 @@ def _start(start: YamlMap, floor: float) -> StartPose:
 
 
 def _pose(item: YamlMap) -> Pose:
-    """Returns the value of ``pose``: ``xyz`` in metres, ``rpy_deg`` about fixed axes; the origin if there is none."""
+    """Returns the value of ``pose``: ``xyz`` in metres, ``rpy_deg`` about fixed axes; the identity if it is missing."""
     pose = item.within(item.value("pose") or {}, "pose", ("xyz", "rpy_deg"))
     xyz = pose.vec3("xyz", (0.0, 0.0, 0.0), low=-FAR_AWAY, high=FAR_AWAY)
     roll, pitch, yaw = (math.radians(angle) for angle in pose.vec3("rpy_deg", (0.0, 0.0, 0.0)))

@@ -1,4 +1,4 @@
-"""Lists resources that can be spawned: built-in robots and objects, and models in other folders. Reads no meshes."""
+"""Lists resources that can be spawned: built-in robots and objects, and models in other folders. Does not read meshes."""
 
 from __future__ import annotations
 
@@ -19,100 +19,100 @@ from gibson_sim.types import Vec3
 _log = logging.getLogger(__name__)
 _ASSET_FOLDERS = ("mesh", "meshes", "materials", "textures")
 _HEAD_BYTES = 65536
-"""Bytes of an SDF file that are searched for a model."""
+"""Maximum size of the beginning of an SDF file that is searched for a model, bytes."""
 _MAX_CONFIG_BYTES = 65536
-"""Largest part of a model.config that is read for a list."""
+"""Maximum size of the beginning of a model.config that is read for its description, bytes."""
 _MAX_DESCRIPTION = 500
-"""Characters of a description."""
+"""Maximum length of a description, characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spawnable:
-    """Something that can be spawned."""
+    """A resource that can be spawned."""
 
     uri: str
-    """A built-in name, or ``file://``."""
+    """A built-in name, or a ``file://`` URI."""
     description: str = ""
     bounds: tuple[Vec3, Vec3] | None = None
-    """Lowest and highest corner in the frame of its root, metres; None = unknown without reading its meshes."""
+    """Lower and upper corner of the bounding box in the frame of its root, metres; None = unknown without reading its meshes."""
 
 
-def own_spawnables(only: str = "") -> dict[str, Path]:
+def built_in_spawnables(only: str = "") -> dict[str, Path]:
     """Returns the folder or file of each built-in robot and object, by name; ``only`` limits the result to one name."""
-    found: dict[str, Path] = {}
+    entries: dict[str, Path] = {}
     for share in share_folders():
         for folder in (share / "config" / "robots", share / "robots", share / "scenes" / "objects", share / "objects"):
             for entry in sorted(folder.iterdir()) if is_folder(folder) else ():
                 if only and only not in (entry.name, entry.stem):
                     continue
                 if not entry.name.startswith((".", "_")) and _kind(entry):
-                    found.setdefault(entry.stem if is_file(entry) else entry.name, entry)
-    return dict(sorted(found.items())) if not only else {name: path for name, path in found.items() if name == only}
+                    entries.setdefault(entry.stem if is_file(entry) else entry.name, entry)
+    return dict(sorted(entries.items())) if not only else {name: path for name, path in entries.items() if name == only}
 
 
 def list_objects() -> list[str]:
     """Returns the names of the built-in objects for ``spawn``, in alphabetical order, without robots."""
-    return sorted(set(own_spawnables()) - set(list_robots()))
+    return sorted(set(built_in_spawnables()) - set(list_robots()))
 
 
 def find_spawnables(sources: Sequence[str]) -> tuple[Spawnable, ...]:
-    """Returns the built-in robots and objects by name, then those below ``sources`` by path.
+    """Returns the built-in robots and objects, sorted by name, then those below ``sources``, sorted by path.
 
     Args:
         sources: folders, or single files: paths, ``file://``, ``package://`` or ``model://``.
 
     Raises:
-        SceneNotFoundError: one of them does not exist.
+        SceneNotFoundError: one of the sources does not exist.
     """
-    built_in = tuple(Spawnable(name, _described(path), _robot_bounds(path)) for name, path in own_spawnables().items())
+    built_in = tuple(Spawnable(name, _description(path), _robot_bounds(path)) for name, path in built_in_spawnables().items())
     return (*built_in, *spawnables_below(sources))
 
 
 def spawnables_below(sources: Sequence[str], search: Search | None = None) -> tuple[Spawnable, ...]:
-    """Returns the robots and models below ``sources``, by path.
+    """Returns the robots and models below ``sources``, sorted by path.
 
     Args:
         sources: as for ``find_spawnables``.
-        search: limits of the search; None = limits of its own.
+        search: budget of the search; None = a new one.
 
     Raises:
         SceneNotFoundError: one of the sources does not exist.
     """
-    found: dict[Path, Spawnable] = {}
+    spawnables: dict[Path, Spawnable] = {}
     search = Search() if search is None else search
     for source in sources:
         path = path_of(source.strip()) or Path(source.strip()).absolute()
         if not source.strip() or not exists(path):
-            raise SceneNotFoundError(f"source {quoted(source)}: there is nothing at {path}; give a folder")
+            raise SceneNotFoundError(f"source {quoted(source)}: {path} does not exist; give a folder")
         for entry in _below(path, search):
-            found[entry] = Spawnable(entry.absolute().as_uri(), _described(entry, search))
-    return tuple(found[path] for path in sorted(found))
+            spawnables[entry] = Spawnable(entry.absolute().as_uri(), _description(entry, search))
+    return tuple(spawnables[path] for path in sorted(spawnables))
 
 
 def _below(path: Path, search: Search) -> list[Path]:
-    """Returns the resources below a path that can be spawned: folders of models and robots, and meshes without a description beside them."""
+    """Returns the spawnable resources below a path: folders of models and robots, and meshes that do not belong to a description."""
     if _kind(path):
         return [path]
-    found: list[Path] = []
-    # Folders with a description, to which their meshes, and those below, belong.
+    resources: list[Path] = []
+    # Folders with a description: meshes in and below them belong to it.
     with_description: set[Path] = set()
     for folder, folders, files in walk(path, search):
         if folder != path and _kind(folder):
-            found.append(folder)
+            resources.append(folder)
             folders.clear()
             continue
         folders[:] = [name for name in folders if name.lower() not in _ASSET_FOLDERS]
         entries = [folder / name for name in files if _kind(folder / name)]
-        described = [entry for entry in entries if entry.suffix.lower() not in MESH_SUFFIXES]
-        if described or folder.parent in with_description:
+        descriptions = [entry for entry in entries if entry.suffix.lower() not in MESH_SUFFIXES]
+        if descriptions or folder.parent in with_description:
             with_description.add(folder)
-            entries = described
-        found += entries
-    return found
+            entries = descriptions
+        resources += entries
+    return resources
 
 
 def _kind(path: Path) -> str:
-    """Returns the kind of a file or a folder in words, "" if it cannot be spawned."""
+    """Returns the kind of a file or a folder as text, "" if it cannot be spawned."""
     suffix = path.suffix.lower()
     if is_folder(path):
         if is_file(path / ROBOT_FILE):
@@ -139,8 +139,8 @@ def _holds_model(path: Path) -> bool:
     return b"<model" in head and b"<world" not in head
 
 
-def _described(path: Path, search: Search | None = None) -> str:
-    """Returns a description of a file or folder in one line: the text of its model.config, else its kind."""
+def _description(path: Path, search: Search | None = None) -> str:
+    """Returns a one-line description of a file or folder: that in its model.config, else its kind."""
     search = Search() if search is None else search
     config = path / "model.config"
     if is_file(config):
@@ -154,7 +154,7 @@ def _described(path: Path, search: Search | None = None) -> str:
 
 
 def _robot_bounds(path: Path) -> tuple[Vec3, Vec3] | None:
-    """Returns the bounding box of a robot from its radius and height, in its base frame, metres; None if the path is no robot."""
+    """Returns the bounding box of a robot from its radius and height, in its base frame, metres; None if the path is not a robot."""
     if not is_file(path / ROBOT_FILE):
         return None
     try:

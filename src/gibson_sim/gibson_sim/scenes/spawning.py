@@ -1,7 +1,7 @@
-"""Turns a resource, a URI or the text of a URDF or SDF model, into a BodySpec or a RobotSpec that physics can load.
+"""Converts a resource, a URI or the text of a URDF or SDF model, to a BodySpec or a RobotSpec that physics can load.
 
-Resources come from clients and are not trusted: every number is checked, every file must lie in an allowed folder, and anything missing is
-an error that names it. Knows neither ROS nor a physics engine.
+Resources come from clients and are not trusted: every number is checked, every file must lie in an allowed folder, and a missing file is an
+error that names it. Must import neither ROS nor a physics engine.
 """
 
 from __future__ import annotations
@@ -34,31 +34,32 @@ from gibson_sim.scenes.mesh_body import mesh_body
 from gibson_sim.scenes.sdf.body import MAX_LINKS, WORLD, SdfBodyReader
 from gibson_sim.scenes.sdf.model import SdfModels, sdf_files, sdf_version
 from gibson_sim.scenes.sources import MAX_BYTES, TEXT_FOLDER, check_file, check_inside, path_of, without_text_folder
-from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, own_spawnables
+from gibson_sim.scenes.spawnables import Spawnable, built_in_spawnables, find_spawnables
 from gibson_sim.settings import nearest
 from gibson_sim.types import Pose
 
 __all__ = [
-    "SPAWN_FORMATS", "SpawnError", "SpawnFailure", "Spawnable", "find_spawnables", "load_spawnable", "own_spawnables", "spawn_name",
+    "SPAWN_FORMATS", "SpawnError", "SpawnFailure", "Spawnable", "built_in_spawnables", "find_spawnables", "load_spawnable", "spawn_name",
 ]  # fmt: skip
 
 SPAWN_FORMATS: tuple[str, ...] = ("urdf", "sdf", "robot.yaml", *(suffix[1:] for suffix in MESH_SUFFIXES))
 """Formats that can be spawned, as in SimulatorFeatures.spawn_formats."""
 MAX_PARTS = 2000
-"""Meshes in the nodes of a spawned glTF: an object has few, and each takes time."""
+"""Maximum number of meshes in the nodes of a spawned glTF: each of them takes time."""
 MAX_TRIANGLES, MAX_STATIC_TRIANGLES = 400_000, 150_000
-"""Triangles of all visuals of a body, and of the collision shapes of a static one: loading the first delays images, the second time."""
+"""Maximum number of triangles of all visuals of a body, which delay rendering, and of the collision shapes of a static body, which delay
+physics."""
 MAX_MASS = 1e6
-"""Largest mass of a link, kg."""
+"""Maximum mass of a link, kg."""
 MAX_INERTIA = 1e9
-"""Largest moment of inertia of a link, kg m^2."""
+"""Maximum moment of inertia of a link, kg m^2."""
 _TEXT = TEXT_FOLDER / "resource_string"
-_NOTHING = "neither a uri nor a resource_string is given; give one of them"
+_NO_RESOURCE = "neither a uri nor a resource_string is given; give one of them"
 _ALLOWED = f"give a {ROBOT_FILE}, a URDF, an SDF model, a folder with one of these, or a mesh ({', '.join(MESH_SUFFIXES)})"
 
 
 class SpawnFailure(Enum):
-    """Reasons for which something cannot be spawned; the names are those of ``simulation_interfaces/SpawnResult``."""
+    """Reasons why a resource cannot be spawned; the names are those of ``simulation_interfaces/SpawnResult``."""
 
     UNSUPPORTED_FORMAT = auto()
     NO_RESOURCE = auto()
@@ -68,17 +69,17 @@ class SpawnFailure(Enum):
 
 
 _PUBLIC = {
-    SpawnFailure.UNSUPPORTED_FORMAT: f"is nothing that can be spawned; {_ALLOWED}",
-    SpawnFailure.NO_RESOURCE: "is not there, or may not be read",
-    SpawnFailure.RESOURCE_PARSE_ERROR: "holds a mistake",
-    SpawnFailure.MISSING_ASSETS: "names files that are not there",
+    SpawnFailure.UNSUPPORTED_FORMAT: f"cannot be spawned; {_ALLOWED}",
+    SpawnFailure.NO_RESOURCE: "does not exist, or may not be read",
+    SpawnFailure.RESOURCE_PARSE_ERROR: "is invalid",
+    SpawnFailure.MISSING_ASSETS: "names files that do not exist",
     SpawnFailure.UNSUPPORTED_ASSETS: "names meshes, textures or elements that cannot be used",
 }
-"""Message for clients that may not see the file, unless the error has a public text of its own."""
+"""Message for clients that may not see the file, unless the error has a public message."""
 
 
 class SpawnError(SceneError):
-    """Something cannot be spawned; one line."""
+    """A resource cannot be spawned; one line."""
 
     def __init__(self, code: SpawnFailure, message: str) -> None:
         super().__init__(without_text_folder(message))
@@ -91,10 +92,10 @@ def load_spawnable(uri: str, text: str, *, name: str, pose: Pose, roots: tuple[P
 
     Args:
         uri: a path, ``file://``, ``package://``, ``model://``, or the name of a built-in robot or object; takes precedence over ``text``.
-        text: a URDF or an SDF model, for an empty ``uri``.
+        text: a URDF or an SDF model, used if ``uri`` is empty.
         name: name of the body; its links become ``<name>/<link>``.
-        pose: T_world_root at the start.
-        roots: folders that all its files must lie in after following symbolic links; none = anywhere. Built-in files are always allowed.
+        pose: T_world_root at load.
+        roots: folders that all its files must lie in after following symbolic links; empty = anywhere. Built-in files are always allowed.
 
     Raises:
         SpawnError: the resource cannot be spawned.
@@ -107,19 +108,21 @@ def load_spawnable(uri: str, text: str, *, name: str, pose: Pose, roots: tuple[P
         check_inside(file, roots, uri)
         check_file(file, MAX_BYTES if file.suffix.lower() in MESH_SUFFIXES else MAX_TEXT_BYTES)
     except SceneNotFoundError as e:
-        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).telling("is no file that may be read") from e
+        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).with_public("is not a file that may be read") from e
     except SceneError as e:
-        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{e}; {_ALLOWED}").telling(f"is no such file; {_ALLOWED}") from e
+        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{e}; {_ALLOWED}").with_public(
+            f"is not a regular file, or is too large; {_ALLOWED}"
+        ) from e
     suffix = file.suffix.lower()
     if suffix in (".yaml", ".yml"):
         return _robot(file, name, pose, roots)
     if suffix in MESH_SUFFIXES:
         return _mesh_body(file, name, pose, roots)
-    return _described(_read(file), file, name, pose, roots, from_file=True)
+    return _body_from_xml(_read(file), file, name, pose, roots, from_file=True)
 
 
 def spawn_name(uri: str, text: str) -> str:
-    """Returns the name that a resource gives itself, for a robot.yaml that of its URDF; "" if it has none or cannot be read."""
+    """Returns the name in a resource, for a robot.yaml that in its URDF; "" if it has no name or cannot be read."""
     try:
         if not uri.strip():
             return _first_name(text.strip().encode("utf-8", errors="replace"))
@@ -135,30 +138,30 @@ def spawn_name(uri: str, text: str) -> str:
 
 
 def _resolve(uri: str, roots: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]:
-    """Returns the file or folder that a URI stands for, and the folders that its files may lie in."""
+    """Returns the file or folder at a URI, and the folders that its files may lie in."""
     try:
         path = path_of(uri)
         if path is None:
-            built_in = own_spawnables(uri).get(uri) if uri else None
+            built_in = built_in_spawnables(uri).get(uri) if uri else None
             if built_in is not None:
                 return built_in, (*roots, *description_roots(built_in.parent, _description(built_in))) if roots else ()
             path = Path(uri).absolute()
-            # The message for a mistyped name must not be that for a missing file.
+            # A misspelled name gets another message than a missing file.
             if not exists(path) and "/" not in uri:
                 raise _no_model(uri)
         check_inside(path, roots, uri)
         if not exists(path):
-            raise SceneNotFoundError(f"{uri}: there is nothing at {path}")
+            raise SceneNotFoundError(f"{uri}: {path} does not exist")
     except SceneNotFoundError as e:
-        # No file has been read yet, so the message holds nothing but the client's own text.
-        # It names the resource once: whoever tells a client puts the name in front.
-        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).telling(str(e).removeprefix(f"{uri}: ")) from e
+        # No file has been read yet, so the message contains only the client's own text.
+        # The caller puts the name of the resource in front of the public message.
+        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).with_public(str(e).removeprefix(f"{uri}: ")) from e
     return path, roots
 
 
 def _no_model(name: str) -> SceneNotFoundError:
-    """Returns the error for a name that is no built-in model: the nearest one comes before the list of all, which a message may cut."""
-    known = list(own_spawnables())
+    """Returns the error for a name that is not a built-in model: the nearest one comes first, since the list of all may be cut off."""
+    known = list(built_in_spawnables())
     near = nearest(name, known)
     listed = f"there are: {', '.join(known)}"
     return SceneNotFoundError(f"{name}: is neither a file nor a built-in model; {f'{near} ' if near else ''}{listed}")
@@ -168,7 +171,7 @@ def _description(path: Path) -> Path:
     """Returns the file that describes the resource at a path: the path itself, or the description in a folder.
 
     Raises:
-        SpawnError: the file is of a kind that cannot be read, or the folder holds no description, or several.
+        SpawnError: the format of the file is not supported, or the folder holds no description, or several.
     """
     if not is_folder(path):
         if path.name == "model.config":
@@ -176,51 +179,53 @@ def _description(path: Path) -> Path:
         if path.suffix.lower() == ".xacro":
             raise _xacro_error(path)
         if path.suffix.lower() not in (".urdf", ".sdf", ".yaml", ".yml", *MESH_SUFFIXES):
-            raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is nothing that can be spawned; {_ALLOWED}")
+            raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: cannot be spawned; {_ALLOWED}")
         return path
     for file in (path / ROBOT_FILE, *sdf_files(path)):
         if is_file(file):
             return file
     try:
-        inside = sorted(path.iterdir())
+        entries = sorted(path.iterdir())
     except OSError as e:
         raise SpawnError(SpawnFailure.NO_RESOURCE, f"{path}: cannot be read: {e.strerror or e}") from e
     for suffixes in ((".urdf",), (".sdf",), MESH_SUFFIXES):
-        files = [file for file in inside if file.suffix.lower() in suffixes]
-        same = [file for file in files if file.stem == path.name]
-        if len(same or files) == 1:
-            return (same or files)[0]
+        files = [file for file in entries if file.suffix.lower() in suffixes]
+        namesakes = [file for file in files if file.stem == path.name]
+        if len(namesakes or files) == 1:
+            return (namesakes or files)[0]
         if files:
             names = ", ".join(file.name for file in files[:8])
-            raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds {len(files)} descriptions, name one: {names}")
+            raise SpawnError(
+                SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds {len(files)} descriptions, name one of them: {names}"
+            )
     raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds nothing that can be spawned; {_ALLOWED}")
 
 
 def _text_body(text: str, name: str, pose: Pose, roots: tuple[Path, ...]) -> BodySpec:
     if not text.strip():
-        raise SpawnError(SpawnFailure.NO_RESOURCE, _NOTHING).telling(_NOTHING)
-    # XML may not begin with a blank line, as strings in code often do.
+        raise SpawnError(SpawnFailure.NO_RESOURCE, _NO_RESOURCE).with_public(_NO_RESOURCE)
+    # XML must not begin with a blank line, as strings in code often do.
     data = text.strip().encode("utf-8", errors="replace")
     if len(data) > MAX_TEXT_BYTES:
         raise SpawnError(
             SpawnFailure.UNSUPPORTED_FORMAT, f"resource_string has {len(data)} bytes, must be at most {MAX_TEXT_BYTES}"
         )
-    return _described(data, _TEXT, name, pose, roots, from_file=False)
+    return _body_from_xml(data, _TEXT, name, pose, roots, from_file=False)
 
 
-def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], *, from_file: bool) -> BodySpec:
-    """Returns the body that a URDF or an SDF model describes; the outermost element tells which it is."""
+def _body_from_xml(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], *, from_file: bool) -> BodySpec:
+    """Returns the body of a URDF or an SDF model, by its outermost element."""
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is no XML; give a URDF (<robot>) or an SDF model (<sdf>)")
+        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is not XML; give a URDF (<robot>) or an SDF model (<sdf>)")
     try:
         top = parse_xml(data)
     except TextError as e:
         if is_xacro(data):
             raise _xacro_error(path) from e
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: {e}").telling(e.public if from_file else str(e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: {e}").with_public(e.public if from_file else str(e)) from e
     if is_xacro(data, top):
         raise _xacro_error(path)
-    # The files of a model lie beside it, or beside a folder above it.
+    # The files of a model lie in its folder, or in one of the three above.
     folder = path.parent
     root = ancestors(folder)[-1] if from_file and ancestors(folder) else folder
     uris = UriResolver(root, folder)
@@ -229,7 +234,7 @@ def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path
         links = len(top.findall("link"))
         if links > MAX_LINKS:
             reason = f"has {links} links, must be at most {MAX_LINKS}; split it"
-            raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: {reason}").telling(
+            raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: {reason}").with_public(
                 f"{_PUBLIC[SpawnFailure.RESOURCE_PARSE_ERROR]}: {reason}"
             )
         return _urdf_body(data, path, name, pose, roots, uris, from_file=from_file)
@@ -245,16 +250,16 @@ def _urdf_body(
 ) -> BodySpec:
     def find(mesh: str, urdf: Path) -> Path | None:
         try:
-            found = resolve_mesh(mesh, urdf) if from_file else None
+            path_found = resolve_mesh(mesh, urdf) if from_file else None
         except (OSError, ValueError):
-            found = None
-        found = found or uris.find(mesh, urdf.parent)
-        return found if found is not None and is_file(found) else None
+            path_found = None
+        path_found = path_found or uris.find(mesh, urdf.parent)
+        return path_found if path_found is not None and is_file(path_found) else None
 
     try:
         model = parse_urdf(data, path, find)
     except RobotError as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).with_public(
             _public_text(SpawnFailure.RESOURCE_PARSE_ERROR, e)
         ) from e
     root = model.links[0]
@@ -269,7 +274,7 @@ def _sdf_body(
 ) -> BodySpec:
     model = top.find("model")
     if model is None:
-        hint = "it holds a <world>: load it as one" if top.find("world") is not None else "give an SDF file with a model"
+        hint = "it holds a <world>: load it as a world" if top.find("world") is not None else "give an SDF file with a model"
         raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds no <model>; {hint}")
     builder = SceneBuilder(name, path.parent, roots or None, description=path, max_bytes=MAX_BYTES)
     try:
@@ -277,9 +282,9 @@ def _sdf_body(
             builder.warn(f"{path}: holds several models; the first is used")
         body = SdfBodyReader(SdfModels(builder, uris), path).read(model, path.parent, sdf_version(top))
     except SceneError as e:
-        # Missing files explain why too little is left.
+        # Report missing files first: they may be the cause.
         _raise_for(builder.warnings)
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).with_public(
             _public_text(SpawnFailure.RESOURCE_PARSE_ERROR, e)
         ) from e
     _check(body.model, builder.loader, read=False, static=body.static)
@@ -294,7 +299,7 @@ def _robot(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> RobotS
     except RobotError as e:
         missing = isinstance(e.__cause__, FileNotFoundError)
         code = SpawnFailure.MISSING_ASSETS if missing else SpawnFailure.RESOURCE_PARSE_ERROR
-        raise SpawnError(code, str(e)).telling(_public_text(code, e)) from e
+        raise SpawnError(code, str(e)).with_public(_public_text(code, e)) from e
     except SceneNotFoundError as e:
         raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)) from e
     _check(model, _loader(roots), read=True)
@@ -306,7 +311,7 @@ def _mesh_body(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> Bo
     try:
         model = mesh_body(file, loader)
     except MeshError as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).with_public(
             _public_text(SpawnFailure.RESOURCE_PARSE_ERROR, e)
         ) from e
     _check(model, loader, read=False)
@@ -340,7 +345,7 @@ def _check(model: UrdfModel, loader: MeshLoader, *, read: bool, static: bool = F
         _check_plausible(model, loader)
         rigid_groups(model)  # raises for too many joints
     except (SceneError, RobotError) as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).with_public(
             _public_text(SpawnFailure.RESOURCE_PARSE_ERROR, e)
         ) from e
     _raise_for(lines)
@@ -360,7 +365,7 @@ def _check_size(model: UrdfModel, loader: MeshLoader, *, static: bool) -> None:
                 f"has {count:,} triangles {what}, at most {most:,} may be spawned while a simulation runs; simplify its meshes, or "
                 "start with it: as --robot, or among the bodies of a scene"
             )
-            raise SpawnError(SpawnFailure.UNSUPPORTED_ASSETS, f"{model.path}: {reason}").telling(reason)
+            raise SpawnError(SpawnFailure.UNSUPPORTED_ASSETS, f"{model.path}: {reason}").with_public(reason)
 
 
 def _check_plausible(model: UrdfModel, loader: MeshLoader) -> None:

@@ -18,7 +18,7 @@ from gibson_sim.types import CameraSpec, Pose, Vec3
 UNLABELLED = "unlabelled"
 """Name of semantic class 0."""
 SPLAT_SCALES = (1e-4, 1e4)
-"""Least and greatest scale of splats, metres per unit of their file."""
+"""Minimum and maximum scale of splats, metres per unit of their file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class StartPose:
 
 @dataclass(frozen=True, slots=True)
 class PointLight:
-    """A lamp. It casts no shadows and so shines through walls: give it a ``range``."""
+    """A point or spot light. It casts no shadows, so it lights through walls: give it a ``range``."""
 
     position: Vec3
     """World frame, metres."""
@@ -51,9 +51,9 @@ class PointLight:
     strength: float = 1.0
     """Linear; 1 = a white surface that faces the lamp becomes white at 1 m, and a quarter of that at 2 m."""
     range: float = 0.0
-    """Distance at which the light has faded to nothing, metres; 0 = no limit."""
+    """Distance at which the light has faded to zero, metres; 0 = no limit."""
     attenuation: Vec3 = (0.0, 0.0, 1.0)
-    """Constant, linear and quadratic term: the strength at d metres is divided by ``a + b d + c d^2``."""
+    """Constant, linear and quadratic coefficients: the strength at d metres is divided by ``a + b d + c d^2``."""
     direction: Vec3 = (0.0, 0.0, -1.0)
     """Direction of a spot light, world frame; need not be a unit vector."""
     inner_angle: float = math.pi
@@ -81,7 +81,7 @@ class PointLight:
 
 @dataclass(frozen=True, slots=True)
 class LightSpec:
-    """The light on surfaces without baked light: all of ``flat``, but of the baked homes only robots and things that move.
+    """The light on surfaces without baked light: all surfaces of ``flat``, but in the baked homes only robots and movable bodies.
 
     With a sun and ambient light alone, the sun also brightens surfaces that face away from it, in place of the light that a real room
     reflects. With shadows, lamps or an environment it lights only the surfaces that it reaches.
@@ -98,7 +98,7 @@ class LightSpec:
     sun_color: Vec3 = (1.0, 1.0, 1.0)
     """sRGB, 0 to 1."""
     shadows: bool = False
-    """Whether the sun casts shadows. Leave it off in closed rooms, whose ceilings would block the sun."""
+    """Whether the sun casts shadows. Keep it off in closed rooms, whose ceilings would block the sun."""
     points: tuple[PointLight, ...] = ()
     environment: str = ""
     """Absolute path of an equirectangular image of the surroundings (.hdr, PNG or JPEG); empty = none. Its middle column lies in
@@ -110,7 +110,7 @@ class LightSpec:
     environment_visible: bool = True
     """Whether the environment is the background."""
     backdrop: str = ""
-    """Absolute path of an equirectangular image that is the background but gives no light, such as the view from the windows of a lit room;
+    """Absolute path of an equirectangular background image that emits no light, such as the view from the windows of a lit room;
     empty = none."""
 
     def __post_init__(self) -> None:
@@ -128,7 +128,7 @@ class LightSpec:
 
 @dataclass(frozen=True, slots=True)
 class SplatsSpec:
-    """Gaussian splats that are drawn over the visuals of the scene. Only colours change: all other outputs are those of the visuals."""
+    """Gaussian splats that are drawn over the visuals of the scene. They change only colours: all other outputs are those of the visuals."""
 
     file: str
     """Absolute path of a PLY or SPZ file."""
@@ -147,14 +147,14 @@ class SceneSpec:
 
     name: str
     root: Path
-    """Folder of all its files."""
+    """Folder of the scene's files."""
     content_hash: str
     """Hex digest of the scene's description and files; equal hash = equal scene."""
     visuals: tuple[VisualSpec, ...]
     """Static visuals: ``link`` is empty."""
     collisions: tuple[CollisionSpec, ...]
     ground_z: float | None = None
-    """Height of an infinite ground plane for physics, metres; None = no such plane."""
+    """Height of an infinite ground plane for physics, metres; None = no ground plane."""
     floor_z: float = 0.0
     """Height of the floor that robots start on, metres."""
     gravity: Vec3 = (0.0, 0.0, -9.81)
@@ -163,11 +163,11 @@ class SceneSpec:
     light: LightSpec = field(default_factory=LightSpec)
     robots: tuple[RobotSpec, ...] = ()
     warnings: tuple[str, ...] = ()
-    """Things that could not be loaded and were left out or replaced, one line each."""
+    """Elements that could not be loaded and were left out or replaced, one line each."""
     revision: int = 1
     """1 at load, plus the number of additions and removals since."""
     bodies: tuple[BodySpec, ...] = ()
-    """Movable things other than robots, which can be added and removed."""
+    """Bodies other than robots, which can be added and removed."""
     other_floors: tuple[float, ...] = ()
     """Heights of the floors other than ``floor_z``, metres."""
     rooms: tuple[RoomSpec, ...] = ()
@@ -175,7 +175,7 @@ class SceneSpec:
     floor_estimated: bool = False
     """Whether ``floor_z`` is an estimate: the height with the most up-facing area in the lowest metre."""
     splats: SplatsSpec | None = None
-    """What is drawn over the visuals; None = nothing."""
+    """Splats that are drawn over the visuals; None = no splats."""
 
     @property
     def floors(self) -> tuple[float, ...]:
@@ -183,7 +183,7 @@ class SceneSpec:
         return tuple(sorted({self.floor_z, *self.other_floors}))
 
     def room_at(self, x: float, y: float, floor: int = 0) -> RoomSpec | None:
-        """Returns the room at a point, world metres, on a floor, 0 = the lowest; None = the scene names none there."""
+        """Returns the room at a point, world metres, on a floor, 0 = the lowest; None = no room there."""
         return room_at(self.rooms, x, y, floor)
 
 
@@ -201,11 +201,11 @@ class DrawnScene:
     """In the order of ``due_cameras``."""
     light: LightSpec
     splats: SplatsSpec | None = None
-    """What is drawn over the static visuals; None = nothing."""
+    """Splats that are drawn over the static visuals; None = no splats."""
 
     @property
     def semantic_classes(self) -> tuple[str, ...]:
-        """Class names in alphabetical order after ``unlabelled``: the index is the class."""
+        """Class names in alphabetical order after ``unlabelled``: the index is the class ID."""
         return (UNLABELLED, *sorted({v.semantic_class for v in self.visuals} - {"", UNLABELLED}))
 
     @property
@@ -214,7 +214,7 @@ class DrawnScene:
         return ("", *dict.fromkeys(_instance(v) for v in self.visuals))
 
     def labels(self) -> tuple[tuple[int, int], ...]:
-        """Returns (semantic class, instance) of every visual, as indices into the two lists above."""
+        """Returns (semantic class, instance) of every visual, as indices into ``semantic_classes`` and ``instances``."""
         classes = {name: i for i, name in enumerate(self.semantic_classes)}
         instances = {name: i for i, name in enumerate(self.instances)}
         return tuple((classes.get(v.semantic_class, 0), instances[_instance(v)]) for v in self.visuals)
@@ -250,10 +250,10 @@ def _check_number(what: str, name: str, value: object, low: float = -math.inf, h
 
 def _check_numbers(what: str, name: str, values: Vec3, low: float = -math.inf, high: float = math.inf) -> None:
     try:
-        good = len(values) == 3 and all(_is_number(value, low, high) for value in values)
+        valid = len(values) == 3 and all(_is_number(value, low, high) for value in values)
     except TypeError:
-        good = False
-    if not good:
+        valid = False
+    if not valid:
         raise ConfigError(f"{what}: {name} is {quoted(values)}, must be three finite numbers{_limits(low, high)}")
 
 

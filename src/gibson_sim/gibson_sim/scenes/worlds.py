@@ -1,4 +1,4 @@
-"""Lists worlds, and loads one for a client with a code for every failure. Knows no ROS."""
+"""Lists worlds, and loads one for a client, with a code for each kind of failure. Must not import ROS."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from gibson_sim.scenes.spec import SceneSpec
 _log = logging.getLogger(__name__)
 _DIRECTIVES = (".dmd.yaml", ".dmd.yml")
 _MODEL_FILES = ("model.config", "model.sdf", "robot.yaml", "package.xml")
-"""A folder with one of these, or with a URDF, is a model or a package of models: its meshes are no worlds."""
+"""Files of a model or a package of models: as in a folder with a URDF, the meshes beside them are not worlds."""
 _HEAD_BYTES = 8 * 1024
-"""Bytes of a scene.yaml that are read for a list: name and description are at the beginning."""
+"""Maximum size of the beginning of a scene.yaml that is read for its name and description, bytes."""
 _MAX_NAME, _MAX_DESCRIPTION = 200, 500
-"""Characters of a listed name and description."""
+"""Maximum length of a listed name and description, characters."""
 _TEXT = TEXT_FOLDER / "resource_string"
 
 
 class WorldFailure(Enum):
-    """Reasons for which a world cannot be loaded; the names are those of ``simulation_interfaces/LoadWorld``."""
+    """Reasons why a world cannot be loaded; the names are those of ``simulation_interfaces/LoadWorld``."""
 
     UNSUPPORTED_FORMAT = auto()
     NO_RESOURCE = auto()
@@ -44,14 +44,14 @@ class WorldFailure(Enum):
 
 
 _PUBLIC = {
-    WorldFailure.UNSUPPORTED_FORMAT: "is no world; give a scene.yaml, an SDF world, a .dmd.yaml or a mesh",
-    WorldFailure.NO_RESOURCE: "is not there, may not be read, or holds not exactly one world",
-    WorldFailure.RESOURCE_PARSE_ERROR: "holds a mistake",
-    WorldFailure.MISSING_ASSETS: "names files that are not there",
+    WorldFailure.UNSUPPORTED_FORMAT: "is not a world; give a scene.yaml, an SDF world, a .dmd.yaml or a mesh",
+    WorldFailure.NO_RESOURCE: "does not exist, may not be read, or does not hold exactly one world",
+    WorldFailure.RESOURCE_PARSE_ERROR: "is invalid",
+    WorldFailure.MISSING_ASSETS: "names files that do not exist",
     WorldFailure.UNSUPPORTED_ASSETS: "names meshes, textures or splats that cannot be used",
     WorldFailure.UNSUPPORTED_ELEMENTS: "has elements that are not simulated",
 }
-"""Message for clients that may not see the file, unless the error has a public text of its own."""
+"""Message for clients that may not see the file, unless the error has a public message."""
 
 
 class WorldError(SceneError):
@@ -69,16 +69,16 @@ class WorldEntry:
 
     name: str
     uri: str
-    """Argument of ``load_world``: the name of a built-in scene, or ``file://``."""
+    """Argument of ``load_world``: the name of a built-in scene, or a ``file://`` URI."""
     description: str = ""
     tags: tuple[str, ...] = ()
-    """Its format: scene.yaml, sdf, drake or mesh."""
+    """Format: scene.yaml, sdf, drake or mesh."""
 
 
 def find_worlds(sources: Sequence[str], *, continue_on_error: bool = False) -> tuple[WorldEntry, ...]:
-    """Returns the built-in scenes by name, then the worlds below ``sources`` by path.
+    """Returns the built-in scenes, sorted by name, then the worlds below ``sources``, sorted by path.
 
-    A mesh is a world if neither its folder nor those above hold a description.
+    A mesh is a world if neither its folder nor the parents of that folder contain a description.
 
     Args:
         sources: folders, or single files: paths, ``file://``, ``package://`` or ``model://``.
@@ -87,19 +87,19 @@ def find_worlds(sources: Sequence[str], *, continue_on_error: bool = False) -> t
     Raises:
         WorldError: one of the sources does not exist.
     """
-    return (*own_worlds(), *worlds_below(sources, continue_on_error=continue_on_error))
+    return (*built_in_worlds(), *worlds_below(sources, continue_on_error=continue_on_error))
 
 
-def own_worlds() -> tuple[WorldEntry, ...]:
-    """Returns the built-in scenes, by name."""
+def built_in_worlds() -> tuple[WorldEntry, ...]:
+    """Returns the built-in scenes, sorted by name."""
     return tuple(_world(path / DESCRIPTION, name) for name, path in sorted(known_scenes().items()))
 
 
-def world_of(uri: str) -> WorldEntry | None:
-    """Returns the entry of the world that a URI stands for, without loading it; None if it stands for several worlds, or none.
+def find_world(uri: str) -> WorldEntry | None:
+    """Returns the entry of the world at a URI, without loading it; None if the URI resolves to several worlds, or none.
 
     Raises:
-        SceneNotFoundError: the URI stands for no file.
+        SceneNotFoundError: the URI does not resolve to a file.
     """
     built_in = known_scenes().get(uri)
     if built_in is not None:
@@ -111,12 +111,12 @@ def world_of(uri: str) -> WorldEntry | None:
 def worlds_below(
     sources: Sequence[str], *, continue_on_error: bool = False, search: Search | None = None
 ) -> tuple[WorldEntry, ...]:
-    """Returns the worlds below ``sources``, by path.
+    """Returns the worlds below ``sources``, sorted by path.
 
     Args:
         sources: as for ``find_worlds``.
         continue_on_error: as for ``find_worlds``.
-        search: limits of the search; None = limits of its own.
+        search: budget of the search; None = a new one.
 
     Raises:
         WorldError: one of the sources does not exist.
@@ -128,7 +128,7 @@ def worlds_below(
             found.update((path, _world(path, search=search)) for path in _below(source.strip(), search))
         except SceneNotFoundError as e:
             if not continue_on_error:
-                raise WorldError(WorldFailure.NO_RESOURCE, str(e)).telling(str(e)) from e
+                raise WorldError(WorldFailure.NO_RESOURCE, str(e)).with_public(str(e)) from e
             _log.warning("%s; left out", e)
     return tuple(found[path] for path in sorted(found))
 
@@ -137,11 +137,11 @@ def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore
     """Returns a world as a scene without robots.
 
     Args:
-        uri: name of a scene, path, ``file://``, ``package://`` or ``model://``; takes precedence over ``text``.
-        text: an SDF world, for an empty ``uri``. Its models and meshes come from ``$GIBSON_SIM_PATH`` and the model paths of Gazebo.
-        fail_on_unsupported: whether an element that is not simulated is an error; otherwise it is left out.
-        ignore_missing: whether models, meshes and textures that are missing or cannot be read are left out; otherwise they are an error.
-            Files that a ``scene.yaml`` names must always exist.
+        uri: name of a scene, a path, ``file://``, ``package://`` or ``model://``; takes precedence over ``text``.
+        text: an SDF world, used if ``uri`` is empty. Its models and meshes come from ``$GIBSON_SIM_PATH`` and the model paths of Gazebo.
+        fail_on_unsupported: whether an element that is not simulated is an error; else it is left out.
+        ignore_missing: whether models, meshes and textures that are missing or cannot be read are left out; else they are errors.
+            Files that a ``scene.yaml`` names must exist in any case.
 
     Raises:
         WorldError: the world cannot be loaded.
@@ -152,19 +152,19 @@ def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore
         raise
     except SceneError as e:
         code = _code_of(e)
-        raise WorldError(code, str(e)).telling(f"{_PUBLIC[code]}: {e.public}" if e.public else _PUBLIC[code]) from e
-    fatal: dict[WorldFailure, OmissionKind] = {}
+        raise WorldError(code, str(e)).with_public(f"{_PUBLIC[code]}: {e.public}" if e.public else _PUBLIC[code]) from e
+    errors: dict[WorldFailure, OmissionKind] = {}
     if not ignore_missing:
-        fatal[WorldFailure.MISSING_ASSETS] = OmissionKind.MISSING_ASSET
-        fatal[WorldFailure.UNSUPPORTED_ASSETS] = OmissionKind.UNSUPPORTED_ASSET
+        errors[WorldFailure.MISSING_ASSETS] = OmissionKind.MISSING_ASSET
+        errors[WorldFailure.UNSUPPORTED_ASSETS] = OmissionKind.UNSUPPORTED_ASSET
     if fail_on_unsupported:
-        fatal[WorldFailure.UNSUPPORTED_ELEMENTS] = OmissionKind.UNSUPPORTED_ELEMENT
-    for code, kind in fatal.items():
-        found = [line.removesuffix("; left out") for line in builder.warnings if line.kind is kind]
-        if found:
-            raise WorldError(code, f"{builder.name}: {'; '.join(found)}")
+        errors[WorldFailure.UNSUPPORTED_ELEMENTS] = OmissionKind.UNSUPPORTED_ELEMENT
+    for code, kind in errors.items():
+        lines = [line.removesuffix("; left out") for line in builder.warnings if line.kind is kind]
+        if lines:
+            raise WorldError(code, f"{builder.name}: {'; '.join(lines)}")
     if builder.splats is not None:
-        # Physics does not need them, but whoever draws the world would fail after the client was told that it is loaded.
+        # Physics does not need the splats, but the renderer would fail after the service has reported success.
         try:
             load_splats(Path(builder.splats.file))
         except MeshError as e:
@@ -177,27 +177,27 @@ def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore
 
 def _read_uri(uri: str) -> SceneBuilder:
     try:
-        given = path_of(uri)
-        if given is None or exists(given):
-            given = find_scene(uri if given is None else given)
+        path = path_of(uri)
+        if path is None or exists(path):
+            path = find_scene(uri if path is None else path)
         else:
-            raise SceneNotFoundError(f"{uri}: there is nothing at {given}")
-        file = description_file(given)
+            raise SceneNotFoundError(f"{uri}: {path} does not exist")
+        file = description_file(path)
     except SceneNotFoundError as e:
         raise WorldError(WorldFailure.NO_RESOURCE, str(e)) from e
     try:
-        reader_and_root(file, given)
+        reader_and_root(file, path)
         check_file(file, MAX_BYTES if file.suffix.lower() in MESH_SUFFIXES else MAX_TEXT_BYTES)
     except SceneError as e:
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, str(e)) from e
-    return read_scene(given, file)
+    return read_scene(path, file)
 
 
 def _read_text(text: str) -> SceneBuilder:
     if not text.strip():
         raise WorldError(WorldFailure.NO_RESOURCE, "neither a uri nor a resource_string is given; give one of them")
     if not text.lstrip().startswith("<"):
-        raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: is no XML; give an SDF world, or a file by its uri")
+        raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: is not XML; give an SDF world, or a file by its uri")
     data = text.strip().encode("utf-8", errors="replace")
     if len(data) > MAX_TEXT_BYTES:
         reason = f"has {len(data)} bytes, must be at most {MAX_TEXT_BYTES}"
@@ -205,10 +205,10 @@ def _read_text(text: str) -> SceneBuilder:
     try:
         root = parse_xml(data)
     except TextError as e:
-        raise WorldError(WorldFailure.RESOURCE_PARSE_ERROR, f"{_TEXT}: {e}").telling(str(e)) from e
+        raise WorldError(WorldFailure.RESOURCE_PARSE_ERROR, f"{_TEXT}: {e}").with_public(str(e)) from e
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None
     if world is None:
-        raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: holds no <world>; give <sdf> with a <world> in it")
+        raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: holds no <world>; give an <sdf> with a <world>")
     builder = SceneBuilder(world.get("name", "").strip() or "world", TEXT_FOLDER, environment=True)
     builder.add_text(text)
     place_world(builder, root, _TEXT)
@@ -216,7 +216,7 @@ def _read_text(text: str) -> SceneBuilder:
 
 
 def _code_of(error: BaseException) -> WorldFailure:
-    """Returns the failure for an error of a reader: a missing file, a broken mesh, else an invalid description."""
+    """Returns the failure code for an error of a reader: a missing file, an invalid mesh, else an invalid description."""
     chain: list[BaseException] = []
     cause: BaseException | None = error
     while cause is not None:
@@ -233,29 +233,29 @@ def _below(source: str, search: Search | None = None) -> list[Path]:
     """Returns the files of the worlds below a source."""
     path = path_of(source) or Path(source).absolute()
     if not source or not exists(path):
-        raise SceneNotFoundError(f"source {quoted(source)}: there is nothing at {path}; give a folder")
+        raise SceneNotFoundError(f"source {quoted(source)}: {path} does not exist; give a folder")
     if is_file(path):
         return [path] if _tag(path) else []
-    found: list[Path] = []
-    # Folders with a description, to which their meshes, and those below, belong.
+    worlds_found: list[Path] = []
+    # Folders with a description: meshes in and below them belong to it.
     with_description: set[Path] = set()
     for folder, folders, files in walk(path, search):
         if DESCRIPTION in files:
-            found.append(folder / DESCRIPTION)
+            worlds_found.append(folder / DESCRIPTION)
             folders.clear()
             continue
         worlds = [folder / name for name in files if _tag(folder / name) in ("sdf", "drake")]
-        found += worlds
-        described = "urdf" in folders or any(name in _MODEL_FILES or name.endswith((".urdf", ".xacro")) for name in files)
-        if worlds or described or folder.parent in with_description:
+        worlds_found += worlds
+        is_model = "urdf" in folders or any(name in _MODEL_FILES or name.endswith((".urdf", ".xacro")) for name in files)
+        if worlds or is_model or folder.parent in with_description:
             with_description.add(folder)
         else:
-            found += [folder / name for name in files if _tag(folder / name) == "mesh"]
-    return found
+            worlds_found += [folder / name for name in files if _tag(folder / name) == "mesh"]
+    return worlds_found
 
 
 def _tag(path: Path) -> str:
-    """Returns the format of a world's file, "" if it is no world."""
+    """Returns the format of a world file, "" if it is not a world."""
     name = path.name.lower()
     if name == DESCRIPTION:
         return DESCRIPTION
@@ -267,7 +267,7 @@ def _tag(path: Path) -> str:
 
 
 def _world(file: Path, name: str = "", *, search: Search | None = None) -> WorldEntry:
-    """Returns the entry of a world without loading it; ``name``: the name of a built-in scene, "" = another world."""
+    """Returns the entry of a world without loading it; ``name``: name of a built-in scene, "" for other worlds."""
     search = Search() if search is None else search
     tag = _tag(file)
     uri = name or file.absolute().as_uri()
@@ -276,7 +276,7 @@ def _world(file: Path, name: str = "", *, search: Search | None = None) -> World
     try:
         texts = yaml_texts(search.head(file, _HEAD_BYTES), ("name", "description"), cut=True)
     except (OSError, TextError):
-        # Loading the world reports the error.
+        # Loading the world will report the error.
         texts = {}
     description = clipped(texts.get("description", ""), _MAX_DESCRIPTION)
     return WorldEntry(name or clipped(texts.get("name", ""), _MAX_NAME) or file.parent.name, uri, description, (tag,))

@@ -1,4 +1,4 @@
-"""Lists the spawnables and worlds in the default sources and in those that a client names."""
+"""Lists the spawnables and worlds of the default sources and of the sources in a client's request."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.sources import Search
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, spawnables_below
-from gibson_sim.scenes.worlds import WorldEntry, own_worlds, world_of, worlds_below
+from gibson_sim.scenes.worlds import WorldEntry, built_in_worlds, find_world, worlds_below
 from gibson_sim.standard.codes import Result, SimulationError, WorldsCode, shortened
 from gibson_sim.standard.filters import TagsFilter
 
@@ -16,45 +16,47 @@ def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_
 
     Args:
         sources: folders in addition to the default sources.
-        tags: filter on the worlds' tags.
-        continue_on_error: skip sources that cannot be read, unless no source has a world.
+        tags: filter on the tags of worlds.
+        continue_on_error: skip unreadable sources, unless no source has a world.
 
     Raises:
         SimulationError: a source cannot be read, or the filter is invalid.
     """
     tags.check()
-    found: dict[str, WorldEntry] = {}
+    worlds_by_uri: dict[str, WorldEntry] = {}
     failures: list[SimulationError] = []
     search = Search()
     for source, code in ((None, WorldsCode.DEFAULT_SOURCES_FAILED), *((source, Result.NOT_FOUND) for source in sources)):
         try:
             worlds = (
-                own_worlds() if source is None else worlds_below((source,), continue_on_error=continue_on_error, search=search)
+                built_in_worlds()
+                if source is None
+                else worlds_below((source,), continue_on_error=continue_on_error, search=search)
             )
-            found.update({world.uri: world for world in worlds})
+            worlds_by_uri.update({world.uri: world for world in worlds})
         except GibsonSimError as error:
             failures.append(SimulationError(code, str(error)))
-    if failures and not (continue_on_error and found):
+    if failures and not (continue_on_error and worlds_by_uri):
         raise failures[0]
-    return tuple(world for world in found.values() if tags.passes(world.tags))
+    return tuple(world for world in worlds_by_uri.values() if tags.passes(world.tags))
 
 
 def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
-    """Returns the spawnables, and one line that names the sources without any: these do not make the request fail."""
-    found = {spawnable.uri: spawnable for spawnable in find_spawnables(())}
+    """Returns the spawnables, and one line that names the unusable sources: these do not make the request fail."""
+    spawnables_by_uri = {spawnable.uri: spawnable for spawnable in find_spawnables(())}
     failures = []
     search = Search()
     for source in sources:
         try:
-            found.update({spawnable.uri: spawnable for spawnable in spawnables_below((source,), search)})
+            spawnables_by_uri.update({spawnable.uri: spawnable for spawnable in spawnables_below((source,), search)})
         except GibsonSimError as error:
             failures.append(f"source {quoted(source)}: {error}")
-    return tuple(found.values()), shortened("; ".join(failures))
+    return tuple(spawnables_by_uri.values()), shortened("; ".join(failures))
 
 
 def description_of(uri: str) -> WorldEntry | None:
-    """Returns the description of the world with a URI, without loading it; None if there is none, or more than one."""
+    """Returns the description of the world with a URI, without loading it; None if no world or more than one has this URI."""
     try:
-        return world_of(uri)
+        return find_world(uri)
     except GibsonSimError:
         return None

@@ -44,7 +44,7 @@ def test_a_model_without_its_mesh_is_drawn_as_its_collision_under_its_own_name(t
 
 def test_what_is_not_drawn_is_named_and_stays_a_thing_of_its_own(tmp_path: Path) -> None:
     path = world(tmp_path, room=ROOM, room_guard=TABLE)
-    assert any("room_guard: is solid but invisible" in warning for warning in load_scene(path).warnings)
+    assert any("room_guard: is invisible" in warning for warning in load_scene(path).warnings)
     imported = import_scene(path, tmp_path / "out")
     assert [visual.name for visual in imported.scene.visuals] == ["room"]
     assert [collision.name for collision in imported.scene.collisions] == ["room", "room_guard"]
@@ -64,7 +64,7 @@ def test_check_repeats_what_the_import_left_out_and_fix_keeps_it(tmp_path: Path)
     assert any("gone.dae" in warning for warning in imported.warnings)
     report = check_path(tmp_path / "out")
     (missing,) = texts(report, "missing")
-    assert "gone.dae is not there" in missing
+    assert "gone.dae does not exist" in missing
     assert not report.clean
     _, again = fix_scene(report, tmp_path / "fixed", FixOptions())
     assert texts(again, "missing") == [missing]

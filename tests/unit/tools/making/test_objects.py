@@ -13,7 +13,7 @@ from gibson_sim.description.rigid_groups import rigid_groups
 from gibson_sim.description.urdf import UrdfModel, parse_urdf
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.formats.load_mesh import MeshLoader
-from gibson_sim.scenes.spawning import load_spawnable, own_spawnables
+from gibson_sim.scenes.spawning import built_in_spawnables, load_spawnable
 from gibson_sim.types import Pose
 from gibson_sim_tools.making.objects import program
 from gibson_sim_tools.making.objects.catalogue import OBJECTS
@@ -92,7 +92,7 @@ def test_there_are_more_than_thirty_objects_and_all_that_were_promised() -> None
 
 
 def test_every_object_is_found_by_its_name_and_has_its_class(folder: Path) -> None:
-    ours = own_spawnables()
+    ours = built_in_spawnables()
     for name in OBJECTS:
         assert ours[name].samefile(folder / name), name
     body = load_spawnable("door_80_left", "", name="d", pose=Pose())

@@ -101,7 +101,7 @@ class Chain:
             joints: Joints that may move; None = all moving joints of the chain. The others stay where they are.
 
         Raises:
-            CommandError: there is no such link, no joint moves it, or a joint is not of the chain.
+            CommandError: the link does not exist, no joint moves it, or a joint is not of the chain.
         """
         above = {joint.child: joint for joint in model.joints}
         if tip not in {link.name for link in model.links}:

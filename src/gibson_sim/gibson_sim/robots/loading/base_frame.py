@@ -11,7 +11,7 @@ import numpy as np
 from gibson_sim.description.extents import rigid_links
 from gibson_sim.description.rigid_groups import rpy_from_matrix
 from gibson_sim.description.urdf import UrdfModel
-from gibson_sim.description.xacro import keep_description
+from gibson_sim.description.xacro import cache_description
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose
 from gibson_sim.quoting import quoted
@@ -40,7 +40,7 @@ def with_base(
         rounds: Link -> radius, metres, of a sphere about its origin that replaces its collision shapes, and those of links fixed to it.
 
     Raises:
-        RobotError: ``base`` cannot be the root, or there is no such joint.
+        RobotError: ``base`` cannot be the root, or the joint does not exist.
     """
     if base == model.root and height == 0.0 and not any(drops.values()) and not frictions and not rounds:
         return model.path
@@ -67,7 +67,7 @@ def with_base(
         under = np.eye(4)
         under[2, 3] = height
         _add_fixed_joint(top, f"{name}_to_{base}".replace("/", "_"), name, base, under)
-    return keep_description(ET.tostring(top, encoding="utf-8", xml_declaration=True), model.path)
+    return cache_description(ET.tostring(top, encoding="utf-8", xml_declaration=True), model.path)
 
 
 def _lower_joints(top: ET.Element, model: UrdfModel, drops: Mapping[str, float]) -> None:

@@ -71,7 +71,7 @@ class _Joints:
     def get(self, name: Any, where: str) -> UrdfJoint:
         """Returns the joint of this name."""
         if not isinstance(name, str) or not name:
-            raise RobotError(f"{where}: {quoted(name)} is no name of a joint")
+            raise RobotError(f"{where}: {quoted(name)} is not the name of a joint")
         reason = self._refusal(self.model.joint(name))
         if reason is not None:
             raise RobotError(

@@ -177,7 +177,7 @@ def _wheel(
 
 
 def _round_radius(offset: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
-    """Returns the radius of points (N, 3) about an axis through the origin, metres; 0 = their outline is no circle about it."""
+    """Returns the radius of points (N, 3) about an axis through the origin, metres; 0 = their outline is not a circle about it."""
     level = np.cross(axis, (0.0, 0.0, 1.0))
     flat = np.stack([offset @ level, offset[:, 2]], axis=-1)
     low, high = flat.min(axis=0), flat.max(axis=0)

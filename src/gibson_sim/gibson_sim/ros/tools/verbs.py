@@ -18,7 +18,7 @@ from gibson_sim.ros.client.standard_services import StandardServices
 from gibson_sim.ros.tools.hints import simulation_runs, spawned_as
 from gibson_sim.ros.tools.main import Tool
 from gibson_sim.ros.topics import names
-from gibson_sim.scenes.spawning import own_spawnables, spawn_name
+from gibson_sim.scenes.spawning import built_in_spawnables, spawn_name
 from gibson_sim.types import WORLD_FRAME
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -105,7 +105,7 @@ def _of_entity(services: StandardServices, name: str, act: Callable[[], None]) -
     try:
         act()
     except GibsonSimError as error:
-        own_name = spawn_name(name, "") if name in own_spawnables() else ""
+        own_name = spawn_name(name, "") if name in built_in_spawnables() else ""
         if own_name and (hint := spawned_as(name, own_name, services.entities())):
             raise GibsonSimError(hint) from error
         raise

@@ -1,4 +1,4 @@
-"""Finds the floors of a scan and replaces their bumpy triangles by boxes with level tops."""
+"""Detects the floors of a scan and replaces their noisy triangles by boxes with level tops."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 SMALLEST_AREA = 1.5
-"""Least area of a floor, square metres; a smaller level patch, such as the tread of a stair, keeps its triangles."""
+"""Minimum area of a floor, square metres; a smaller level patch, such as the tread of a stair, keeps its triangles."""
 LARGEST_BAND = 0.025
-"""Largest distance from the height of a floor at which triangles can become part of it, metres."""
+"""Maximum half width of the height band of a floor, metres; triangles outside it are not part of the floor."""
 SMALLEST_BAND = 0.005
-"""Least such distance for a very smooth floor, metres."""
+"""Minimum half width of the height band of a floor, metres."""
 THICKNESS = 0.1
-"""Thickness of the boxes below their tops, metres."""
+"""Thickness of the boxes, metres."""
 _CELL = 0.025
-"""Edge of the cells of the boxes, metres."""
+"""Edge of the grid cells from which boxes are formed, metres."""
 _BIN = 0.005
-"""Width of the bins in which heights of triangles are counted, metres."""
+"""Bin width of the histogram of triangle heights, metres."""
 _UP = 0.7
-"""Least z of the unit normal of a floor's triangles: noise tilts small triangles."""
+"""Minimum z of the unit normal of a floor's triangles; low, since noise tilts small triangles."""
 _SIGMAS = 3.0
-"""Half width of the band of a floor, standard deviations of its heights."""
+"""Half width of the height band of a floor, standard deviations of its heights."""
 _MAX_ROUGHNESS = 0.012
-"""Largest standard deviation of the heights of a floor, metres; a rougher patch is a slope or a cushion."""
+"""Maximum standard deviation of the heights of a floor, metres; a rougher patch is a slope or a cushion."""
 _SPECK, _LARGE_SPECK = 0.02, 0.1
-"""Areas below which a part of the mesh about a floor, connected to nothing else, is noise, square metres. Between the two, it is noise only
-if few of its corners are off the floor."""
+"""Areas below which an isolated component of the mesh near a floor is noise, square metres. Between the two, it is noise only if the share of
+its vertices outside the height band is below ``_FEW``."""
 _FEW = 0.3
-"""Share of the corners that counts as few."""
+"""Maximum share of the vertices outside the height band for a component between the two areas."""
 _SMALLEST_BOX = 9
-"""Least edge of the square from which a box grows, cells."""
+"""Minimum edge of the square from which a box is grown, cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,32 +49,32 @@ class Slab:
     """An axis-aligned box with a level top, ``THICKNESS`` high, world frame."""
 
     low: tuple[float, float]
-    """Lowest x and y, metres."""
+    """Minimum x and y, metres."""
     high: tuple[float, float]
-    """Highest x and y, metres."""
+    """Maximum x and y, metres."""
     top: float
     """Height of its upper face, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flattened:
-    """A mesh with slabs for its floors."""
+    """A mesh whose floors are replaced by slabs."""
 
     slabs: tuple[Slab, ...]
-    """The inner parts of all floors."""
+    """Interior of all floors."""
     vertices: F64
-    """(V, 3), metres: the original ones, except those of floors."""
+    """(V, 3), metres: the original vertices, with those of floors moved to the height of the floor."""
     triangles: I64
-    """(F, 3): those that the slabs do not replace."""
+    """(F, 3), rows of ``vertices``: triangles that the slabs do not replace."""
     flat: Bools
-    """(V,): whether a vertex was moved to the height of a floor."""
+    """(V,), whether a vertex was moved to the height of a floor."""
 
 
 def flatten_floors(vertices: F64, triangles: I64) -> Flattened:
-    """Returns the mesh with slabs in place of the inner parts of its floors.
+    """Returns the mesh with slabs in place of the interior of its floors.
 
-    Triangles at the rim of a floor stay, with their corners at its height, so that walls and floor remain connected. Thresholds, steps
-    and stairs do not change.
+    Triangles at the border of a floor are kept, with their corners at its height, so that walls and floor remain connected. Thresholds,
+    steps and stairs do not change.
 
     Args:
         vertices: (V, 3), welded, world metres.
@@ -101,12 +101,12 @@ def flatten_floors(vertices: F64, triangles: I64) -> Flattened:
 
 
 def _levels(vertices: F64, triangles: I64) -> list[tuple[float, float, Bools]]:
-    """Returns each level patch, the largest first: height, half width of its band, metres, and which triangles (F,) may belong to it."""
+    """Returns the level patches, the largest first: height and half width of its band, metres, and a mask of its candidate triangles (F,)."""
     corners = vertices[triangles]
     up = np.flatnonzero(unit_normals(corners)[:, 2] > _UP)
     parts = components(triangles[up], len(vertices))
     areas, z = areas_of(corners[up]), corners[up][:, :, 2].mean(axis=1)
-    found = []
+    levels = []
     totals = np.bincount(parts, weights=areas) if len(parts) else np.zeros(0)
     for part in np.flatnonzero(totals >= SMALLEST_AREA):
         members = np.flatnonzero(parts == part)
@@ -121,30 +121,30 @@ def _levels(vertices: F64, triangles: I64) -> list[tuple[float, float, Bools]]:
                 break
             region = np.zeros(len(triangles), dtype=bool)
             region[up[members[near]]] = True
-            found.append((area, height, band, region))
-            # A second level in the same patch must be far from this one, or it is the slope beside it.
+            levels.append((area, height, band, region))
+            # A second level in the same patch must be far from this one; else it is the adjacent slope.
             members = members[np.abs(z[members] - height) > 2 * LARGEST_BAND]
-    return [(height, band, region) for _, height, band, region in sorted(found, key=lambda level: -level[0])]
+    return [(height, band, region) for _, height, band, region in sorted(levels, key=lambda level: -level[0])]
 
 
 def _peak(z: F64, areas: F64) -> tuple[float, float]:
-    """Returns the height with the most area, and the standard deviation of heights about it, metres; z and areas: (N,)."""
+    """Returns the height with the largest area, and the standard deviation of the heights about it, metres; z and areas: (N,)."""
     bins = np.floor((z - z.min()) / _BIN).astype(np.int64)
     width = round(2 * LARGEST_BAND / _BIN)
     sums = np.convolve(np.bincount(bins, weights=areas), np.ones(width), mode="same")
-    middle = float(z.min() + (int(sums.argmax()) + 0.5) * _BIN)
-    near = np.abs(z - middle) <= LARGEST_BAND
+    center = float(z.min() + (int(sums.argmax()) + 0.5) * _BIN)
+    near = np.abs(z - center) <= LARGEST_BAND
     values, weights = z[near], areas[near]
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     height = float(values[order][int(np.searchsorted(total, 0.5 * total[-1]))])
-    away = np.sort(np.abs(values - height))
-    # The median distance is 0.6745 standard deviations of a normal distribution, and robust against outliers.
-    return height, float(away[len(away) // 2]) / 0.6745
+    deviations = np.sort(np.abs(values - height))
+    # The median absolute deviation is 0.6745 standard deviations of a normal distribution, and robust against outliers.
+    return height, float(deviations[len(deviations) // 2]) / 0.6745
 
 
 def _specks(vertices: F64, triangles: I64, others: Bools, height: float, band: float) -> Bools:
-    """Returns (F,): small parts of ``others`` (F,) about a height that are connected to nothing else: bumps of a noisy floor."""
+    """Returns a mask (F,) of the small isolated components of ``others`` (F,) near a height: bumps of a noisy floor."""
     rows = np.flatnonzero(others)
     out = np.zeros(len(triangles), dtype=bool)
     if not len(rows):
@@ -166,37 +166,37 @@ def _specks(vertices: F64, triangles: I64, others: Bools, height: float, band: f
 
 
 def _rectangles(mask: Bools) -> tuple[list[tuple[int, int, int, int]], Bools]:
-    """Returns rectangles (first row, first column, last row + 1, last column + 1) in a mask (H, W), and the cells in them (H, W).
+    """Returns rectangles (first row, first column, last row + 1, last column + 1) in a mask (H, W), and the mask of their cells (H, W).
 
-    The largest remaining square is extended on all sides as far as the mask allows. Rectangles do not overlap, since a contact with two
-    boxes costs twice the time.
+    Repeatedly extends the largest remaining square on all sides within the mask. Rectangles do not overlap, since a contact with two
+    boxes takes twice the time.
     """
-    left = mask.copy()
+    remaining = mask.copy()
     boxes: list[tuple[int, int, int, int]] = []
-    while left.any():
-        # Chessboard distance to the nearest cell that does not remain; neither do the cells beyond the border.
-        away = np.asarray(cv2.distanceTransform(np.pad(left.astype(np.uint8), 1), cv2.DIST_C, 3))[1:-1, 1:-1]
-        row, column = np.unravel_index(int(away.argmax()), mask.shape)
-        reach = int(away[row, column]) - 1
-        if 2 * reach + 1 < _SMALLEST_BOX:
+    while remaining.any():
+        # Chessboard distance to the nearest cell outside the remaining mask; cells beyond the border count as outside.
+        distance = np.asarray(cv2.distanceTransform(np.pad(remaining.astype(np.uint8), 1), cv2.DIST_C, 3))[1:-1, 1:-1]
+        row, column = np.unravel_index(int(distance.argmax()), mask.shape)
+        radius = int(distance[row, column]) - 1
+        if 2 * radius + 1 < _SMALLEST_BOX:
             break
-        box = _extended((int(row) - reach, int(column) - reach, int(row) + reach + 1, int(column) + reach + 1), left)
+        box = _extended((int(row) - radius, int(column) - radius, int(row) + radius + 1, int(column) + radius + 1), remaining)
         boxes.append(box)
-        left[box[0] : box[2], box[1] : box[3]] = False
-    return boxes, np.asarray(mask & ~left)
+        remaining[box[0] : box[2], box[1] : box[3]] = False
+    return boxes, np.asarray(mask & ~remaining)
 
 
 def _extended(box: tuple[int, int, int, int], mask: Bools) -> tuple[int, int, int, int]:
-    """Returns a rectangle extended up, down, left and right in turn, each as far as all its cells are in the mask."""
+    """Returns a rectangle extended up, down, left and right in turn, each as far as all its cells are in the mask (H, W)."""
     top, left, bottom, right = box
     above = np.asarray(mask[:top, left:right].all(axis=1))[::-1]
     top -= int(np.append(above, False).argmin())
     below = mask[bottom:, left:right].all(axis=1)
     bottom += int(np.append(below, False).argmin())
-    before = np.asarray(mask[top:bottom, :left].all(axis=0))[::-1]
-    left -= int(np.append(before, False).argmin())
-    behind = mask[top:bottom, right:].all(axis=0)
-    right += int(np.append(behind, False).argmin())
+    beside_left = np.asarray(mask[top:bottom, :left].all(axis=0))[::-1]
+    left -= int(np.append(beside_left, False).argmin())
+    beside_right = mask[top:bottom, right:].all(axis=0)
+    right += int(np.append(beside_right, False).argmin())
     return top, left, bottom, right
 
 
@@ -209,7 +209,7 @@ def _slab(grid: Grid, box: tuple[int, int, int, int], height: float) -> Slab:
 
 
 def _inside(corners: F64, covered: Bools, grid: Grid) -> Bools:
-    """Returns (F,): which triangles (F, 3, 2), world metres, lie in covered cells (H, W), seen from above."""
+    """Returns a mask (F,) of the triangles (F, 3, 2), world metres, whose bounding box lies in covered cells (H, W), seen from above."""
     low, high = (
         np.floor((f(corners, axis=1) - np.asarray(grid.origin)) / grid.resolution).astype(np.int64) for f in (np.min, np.max)
     )

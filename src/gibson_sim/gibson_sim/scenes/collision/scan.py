@@ -19,12 +19,12 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 MAX_ERROR = 0.03
-"""Largest distance of a sample point of the scan from the simplified geometry, and vice versa, metres."""
+"""Maximum distance of a sample point of the scan from the simplified geometry, and vice versa, metres."""
 _SAMPLES = 40_000
-"""Sample points on the scan, and on the simplified geometry."""
+"""Number of sample points on the scan, and on the simplified geometry."""
 _MAX_ATTEMPTS = 7
 _FIXED_RADIUS = 0.1
-"""Radius about a point with too large an error in which the next attempt changes nothing, metres."""
+"""Radius about points with too large an error within which the next attempt does not move vertices, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,13 +32,13 @@ class SimplifiedScan:
     """The collision geometry of a scan, world frame."""
 
     slabs: tuple[Slab, ...]
-    """The floors."""
+    """Boxes of the floors."""
     vertices: F64 = field(repr=False)
-    """(V, 3), vertices of everything else, metres."""
+    """(V, 3), vertices of the other geometry, metres."""
     triangles: I64 = field(repr=False)
     """(F, 3), rows of ``vertices``."""
     error: float
-    """Greatest distance of a sample point of either geometry from the other, metres."""
+    """Maximum distance of the sample points of each geometry from the other, metres."""
     before: int
     """Number of triangles of the scan."""
 
@@ -54,25 +54,25 @@ def simplify_scan(vertices: ArrayLike, triangles: ArrayLike, max_error: float = 
     Args:
         vertices: (V, 3), world metres, z up.
         triangles: (F, 3), rows of ``vertices``.
-        max_error: metres.
+        max_error: maximum distance, metres.
 
     Raises:
         MeshError: there are no triangles, or meshoptimizer is not installed.
     """
     points, corners = weld(vertices, triangles)
     if not len(corners):
-        raise MeshError("the scan has no triangles with an area and finite corners; there is nothing to simplify")
-    as_it_is = Flattened((), points, corners, np.zeros(len(points), dtype=bool))
-    for flattened in (flatten_floors(points, corners), as_it_is):
+        raise MeshError("the scan has no triangles with finite corners and an area above 0")
+    not_flattened = Flattened((), points, corners, np.zeros(len(points), dtype=bool))
+    for flattened in (flatten_floors(points, corners), not_flattened):
         simplified = _simplified(points[corners], flattened, max_error)
         if simplified is not None:
             return simplified
-    _log.warning("no simpler mesh lies within %g m of the scan: the scan itself is its collision shape", max_error)
+    _log.warning("no simpler mesh is within %g m of the scan: the scan itself is used as its collision shape", max_error)
     return SimplifiedScan((), points, corners, 0.0, len(corners))
 
 
 def _simplified(scan: F64, flattened: Flattened, max_error: float) -> SimplifiedScan | None:
-    """Returns the simplified geometry of a scan (F, 3, 3) with these floors; None if its error stays too large."""
+    """Returns the simplified geometry of a scan (F, 3, 3) with flattened floors; None if its error remains too large."""
     measure = _ErrorMeasure(scan, _tops(flattened.slabs), max_error)
     rest, flat = flattened.triangles, flattened.flat
     if measure.check(flattened.vertices, rest)[0] >= max_error:
@@ -84,7 +84,7 @@ def _simplified(scan: F64, flattened: Flattened, max_error: float) -> Simplified
         error, bad = measure.check(*mesh)
         if error < max_error:
             return SimplifiedScan(flattened.slabs, *mesh, error, len(scan))
-        # The next attempt changes nothing near points with too large an error.
+        # The next attempt does not move vertices near points with too large an error.
         fixed |= cKDTree(bad).query(smoothed, distance_upper_bound=_FIXED_RADIUS)[0] <= _FIXED_RADIUS
     return None
 
@@ -94,8 +94,8 @@ class _ErrorMeasure:
 
     Args:
         scan: (F, 3, 3), triangles, metres.
-        tops: (N, 3, 3), triangles that are part of every mesh, metres.
-        max_error: metres.
+        tops: (N, 3, 3), triangles that are part of each mesh, metres.
+        max_error: maximum distance, metres.
     """
 
     def __init__(self, scan: F64, tops: F64, max_error: float) -> None:
@@ -103,13 +103,13 @@ class _ErrorMeasure:
         self._points = spread_over(scan, _SAMPLES, np.random.default_rng(0))[0]
 
     def check(self, vertices: F64, triangles: I64) -> tuple[float, F64]:
-        """Returns the greatest distance of sample points in both directions, metres, and the points (N, 3) where it is too large."""
+        """Returns the maximum distance of sample points in both directions, metres, and the points (N, 3) with too large a distance."""
         rng = np.random.default_rng(1)
         mesh = np.concatenate([vertices[triangles], self._tops])
         points = np.concatenate([self._points, spread_over(mesh, _SAMPLES, rng)[0]])
-        there = distances(self._points, mesh, rng)
-        away = np.concatenate([there, distances(points[len(there) :], self._scan, rng)])
-        return float(away.max(initial=0.0)), points[away >= self._max_error]
+        from_scan = distances(self._points, mesh, rng)
+        all_distances = np.concatenate([from_scan, distances(points[len(from_scan) :], self._scan, rng)])
+        return float(all_distances.max(initial=0.0)), points[all_distances >= self._max_error]
 
 
 def _tops(slabs: tuple[Slab, ...]) -> F64:

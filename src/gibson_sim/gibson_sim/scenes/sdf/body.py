@@ -1,6 +1,6 @@
-"""Turns an SDF model into the tree of links that physics moves: masses, joints, shapes and friction; nested models become part of it.
+"""Converts an SDF model to a tree of links for physics: masses, joints, shapes and friction; nested models are flattened.
 
-``sdf.model`` reads models that stay where they are, and the poses, frames and shapes for both.
+``sdf.model`` reads static models of a scene, and the poses, frames and shapes for both.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import invert, pose_from_matrix
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf.model import Element, SdfModels, name_of, numbers, unread_material, visual_color
+from gibson_sim.scenes.sdf.model import Element, SdfModels, name_of, numbers, unsupported_material, visual_color
 from gibson_sim.types import Pose, Vec3
 
 F64 = NDArray[np.float64]
 MAX_LINKS = 500
 WORLD = "world"
-"""Name of the world as an end of joints."""
+"""Name of the world as the parent or child of joints."""
 _SCOPE = "__"
-"""Separator between the names of a nested model and of its link, in place of SDF's ``::``."""
+"""Separator between the name of a nested model and that of its link, in place of SDF's ``::``."""
 _MODEL_FRAME = "model_frame"
-"""Name of the root link where no link lies at the model's frame."""
+"""Name of the added root link if no link is at the model's frame."""
 _INERTIA = {"ixx": 1.0, "ixy": 0.0, "ixz": 0.0, "iyy": 1.0, "iyz": 0.0, "izz": 1.0}
 """Default inertia of SDF, kg m^2."""
 _KINDS = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic", "fixed": "fixed"}
 """Type of an SDF joint -> kind of a ``UrdfJoint``."""
 _MAX_LIMIT = 1e6
-"""Limits of joints beyond this, radians or metres, mean no limit: files write 1e16 and more."""
+"""Joint limit, radians or metres, above which a joint counts as unlimited: files contain 1e16 and more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,13 +44,13 @@ class SdfBody:
     """A model that physics can load."""
 
     model: UrdfModel
-    """The links; the frame of the root is that of the model."""
+    """Links and joints; the frame of the root link is that of the SDF model."""
     static: bool
     """Whether the model is fixed to the world."""
 
 
 class SdfBodyReader:
-    """Reads one model.
+    """Reads one SDF model.
 
     Args:
         models: reader of models, poses and shapes, which collects the warnings.
@@ -63,7 +63,7 @@ class SdfBodyReader:
         self.path = path
 
     def read(self, model: Element, base: Path, version: tuple[int, ...]) -> SdfBody:
-        """Returns the model in its own frame, without its <pose>, which the caller applies.
+        """Returns the model in its own frame; the caller applies its <pose>.
 
         Args:
             model: the <model>.
@@ -71,26 +71,26 @@ class SdfBodyReader:
             version: version of SDF, such as (1, 7).
 
         Raises:
-            SceneError: the model has no links, or too many, or two of the same name.
+            SceneError: the model has no links, too many links, or two links of the same name.
         """
         name = model.get("name", "").strip() or self.path.stem
         flat = _FlatModel()
         self._collect(flat, _Scope(model, np.eye(4), "", base, version), (Path(os.path.realpath(self.path)),), 0)
         if not flat.links:
             raise SceneError(f"{self.path}: model {quoted(name)} has no <link>")
-        frozen = (model.findtext("static") or "").strip().lower() in ("1", "true")
+        is_static = (model.findtext("static") or "").strip().lower() in ("1", "true")
         tree = _Tree(self, flat, f"model {name}")
         tree.add_joints()
-        tree.join_roots(frozen)
-        static = frozen or tree.fixed_to_world
+        tree.join_roots(is_static)
+        static = is_static or tree.fixed_to_world
         links = self._links(flat, tree, static)
         ordered = tuple(links[link] for link in tree.order())
-        # No joint of a <static> model moves, not even a door's.
-        joints = tuple(replace(joint, kind="fixed") if frozen else joint for joint in tree.joints)
+        # All joints of a <static> model are fixed, even those of doors.
+        joints = tuple(replace(joint, kind="fixed") if is_static else joint for joint in tree.joints)
         return SdfBody(UrdfModel(name, self.path, ordered, joints, tuple(self.builder.warnings)), static)
 
     def _collect(self, flat: _FlatModel, scope: _Scope, files: tuple[Path, ...], depth: int) -> None:
-        """Adds the links and joints of a model and its nested models."""
+        """Adds the links, joints and frames of a model and its nested models to ``flat``."""
         where = f"model {scope.prefix.removesuffix(_SCOPE) or scope.model.get('name', '')}"
         self.models.check_nesting(where, depth)
         for child in scope.model:
@@ -98,7 +98,7 @@ class SdfBodyReader:
                 link = scope.prefix + name_of(child)
                 if link in flat.links or name_of(child) in ("", WORLD):
                     raise SceneError(
-                        f"{self.path}: {where}: a link is named {quoted(link)}; names must differ, and not be {quoted(WORLD)}"
+                        f"{self.path}: {where}: a link is named {quoted(link)}; names must be unique, and not {quoted(WORLD)}"
                     )
                 if len(flat.links) >= MAX_LINKS:
                     raise SceneError(f"{self.path}: has more than {MAX_LINKS} links; split it")
@@ -107,31 +107,31 @@ class SdfBodyReader:
             elif child.tag == "joint":
                 flat.joints.append((child, scope))
             elif child.tag == "model":
-                at = scope.T_root_model @ self.models.placed(scope.model, child, where)
-                inner = _Scope(child, at, f"{scope.prefix}{name_of(child)}{_SCOPE}", scope.base, scope.version)
+                T_root_model = scope.T_root_model @ self.models.placed(scope.model, child, where)
+                inner = _Scope(child, T_root_model, f"{scope.prefix}{name_of(child)}{_SCOPE}", scope.base, scope.version)
                 self._collect_nested(flat, inner, files, depth)
             elif child.tag == "include":
-                found = self.models.included(child, scope.base, scope.model, files)
-                if found is not None:
-                    at = scope.T_root_model @ found.T_parent_model
-                    # With merge="true" the links of the included model become those of this one.
+                included = self.models.included(child, scope.base, scope.model, files)
+                if included is not None:
+                    T_root_model = scope.T_root_model @ included.T_parent_model
+                    # With merge="true" the links of the included model become links of this model.
                     merged = child.get("merge", "false").strip().lower() in ("1", "true")
-                    prefix = scope.prefix if merged else f"{scope.prefix}{found.name}{_SCOPE}"
-                    inner = _Scope(found.model, at, prefix, found.file.parent, self.models.version(found.file))
-                    self._collect_nested(flat, inner, (*files, Path(os.path.realpath(found.file))), depth)
+                    prefix = scope.prefix if merged else f"{scope.prefix}{included.name}{_SCOPE}"
+                    inner = _Scope(included.model, T_root_model, prefix, included.file.parent, self.models.version(included.file))
+                    self._collect_nested(flat, inner, (*files, Path(os.path.realpath(included.file))), depth)
         for child in scope.model.iterfind("frame"):
-            attached = (child.get("attached_to") or "").strip().replace("::", _SCOPE)
+            parent_frame = (child.get("attached_to") or "").strip().replace("::", _SCOPE)
             first = next((link for link in flat.links if link.startswith(scope.prefix)), "")
-            flat.frames[scope.prefix + name_of(child)] = scope.prefix + attached if attached else first
+            flat.frames[scope.prefix + name_of(child)] = scope.prefix + parent_frame if parent_frame else first
 
     def _collect_nested(self, flat: _FlatModel, inner: _Scope, files: tuple[Path, ...], depth: int) -> None:
-        before = len(flat.links)
+        link_count = len(flat.links)
         self._collect(flat, inner, files, depth + 1)
-        if len(flat.links) > before:
-            flat.frames.setdefault(inner.prefix.removesuffix(_SCOPE), list(flat.links)[before])
+        if len(flat.links) > link_count:
+            flat.frames.setdefault(inner.prefix.removesuffix(_SCOPE), list(flat.links)[link_count])
 
     def _links(self, flat: _FlatModel, tree: _Tree, static: bool) -> dict[str, UrdfLink]:
-        """Returns every link by name; the visuals of a model without collisions are its collision shapes, as in worlds."""
+        """Returns every link by name; a model without collision shapes collides with its visuals, as in worlds."""
         has_collision = any(element.find("collision") is not None for element, _ in flat.links.values())
         links = {name: UrdfLink(name) for name in tree.extra_links}
         for name, (element, scope) in flat.links.items():
@@ -139,9 +139,9 @@ class SdfBodyReader:
             for item in element.iterfind("visual"):
                 color, visible = visual_color(item)
                 for shape, pose, _ in self._shapes(flat, name, item, scope):
-                    lacks = unread_material(item, self.builder.has_textures(shape)) if visible else ""
-                    if lacks:
-                        self.builder.warn(f"link {name}: {lacks}", OmissionKind.UNSUPPORTED_ASSET)
+                    warning = unsupported_material(item, self.builder.has_textures(shape)) if visible else ""
+                    if warning:
+                        self.builder.warn(f"link {name}: {warning}", OmissionKind.UNSUPPORTED_ASSET)
                     if visible:
                         visuals.append(UrdfVisual(shape, pose, color))
                     if not has_collision:
@@ -161,11 +161,11 @@ class SdfBodyReader:
     def _shapes(self, flat: _FlatModel, name: str, item: Element, scope: _Scope) -> list[tuple[Shape, Pose, bool]]:
         """Returns the shapes of a <visual> or <collision>, each with T_link_shape and whether it is a plane."""
         T_link_model = invert(flat.T_root_link[name]) @ scope.T_root_model
-        found = self.models.shapes(scope.model, item, T_link_model, np.eye(4), f"{self.path.name}: link {name}", scope.base)
-        return [(shape, pose_from_matrix(matrix), plane) for shape, matrix, plane in found]
+        shapes = self.models.shapes(scope.model, item, T_link_model, np.eye(4), f"{self.path.name}: link {name}", scope.base)
+        return [(shape, pose_from_matrix(matrix), plane) for shape, matrix, plane in shapes]
 
     def _inertial(self, element: Element, name: str) -> Inertial | None:
-        """Returns the mass and inertia of a link, None if it has no <inertial>; without <inertia>, SDF's default of 1 kg m^2 about each axis."""
+        """Returns the mass and inertia of a link, None if it has no <inertial>; a missing <inertia> is SDF's default, 1 kg m^2 about each axis."""
         item = element.find("inertial")
         if item is None:
             return None
@@ -177,7 +177,7 @@ class SdfBodyReader:
         return Inertial(mass, pose_from_matrix(self.models.pose(item, where)), (ixx, ixy, ixz, iyy, iyz, izz))
 
     def _friction(self, element: Element, name: str) -> float | None:
-        """Returns the friction coefficient of the link's first collision shape that has one, else None."""
+        """Returns the friction coefficient of the link's first collision shape with one, else None."""
         for path in ("surface/friction/ode", "surface/friction/bullet"):
             for item in element.iterfind(f"collision/{path}"):
                 for key in ("mu", "friction"):
@@ -202,9 +202,9 @@ class _Scope:
 
     model: Element
     T_root_model: F64
-    """(4, 4), pose in the frame of the outermost model."""
+    """Pose in the frame of the outermost model, (4, 4)."""
     prefix: str
-    """Prefix of the names of its links and joints."""
+    """Prefix of the unique names of its links and joints."""
     base: Path
     """Folder of relative file names."""
     version: tuple[int, ...]
@@ -217,14 +217,14 @@ class _FlatModel:
 
     links: dict[str, tuple[Element, _Scope]] = field(default_factory=dict)
     T_root_link: dict[str, F64] = field(default_factory=dict)
-    """(4, 4) of each link."""
+    """Link name -> pose in the frame of the outermost model, (4, 4)."""
     frames: dict[str, str] = field(default_factory=dict)
-    """Name of a frame or nested model -> name of the link that it is fixed to."""
+    """Name of a frame or nested model -> name of the link that it is attached to."""
     joints: list[tuple[Element, _Scope]] = field(default_factory=list)
 
 
 class _Tree:
-    """Joins the links of a flat model into a tree."""
+    """Connects the links of a flat model to a tree."""
 
     def __init__(self, reader: SdfBodyReader, flat: _FlatModel, where: str) -> None:
         self.models, self.builder = reader.models, reader.builder
@@ -238,17 +238,17 @@ class _Tree:
         self._T_root: dict[str, F64] = dict(flat.T_root_link)
 
     def add_joints(self) -> None:
-        """Adds all joints except those that would close a loop, which are left out with a warning."""
+        """Adds all joints except those that would close a loop; these are left out with a warning."""
         for element, scope in self.flat.joints:
             name = scope.prefix + name_of(element)
-            parent, child = (self._end(element, scope, tag) for tag in ("parent", "child"))
+            parent, child = (self._resolve_end(element, scope, tag) for tag in ("parent", "child"))
             axis = _joint_axis(element, name, self.builder)
             if not parent or not child:
-                text = f"{self.where}: joint {quoted(name)} names a <parent> or <child> that is not there; left out"
+                text = f"{self.where}: joint {quoted(name)} names a <parent> or <child> that does not exist; left out"
                 self.builder.warn(text, OmissionKind.INVALID)
             elif parent == WORLD and axis.kind == "fixed":
                 self.fixed_to_world = True
-            elif child == WORLD or parent == child or child in self._parents or self._is_above(child, parent):
+            elif child == WORLD or parent == child or child in self._parents or self._is_ancestor(child, parent):
                 self.builder.warn(
                     f"{self.where}: joint {quoted(name)} gives {quoted(child)} a second parent or closes a loop; left out"
                 )
@@ -258,13 +258,13 @@ class _Tree:
                     self._world_link = self._add_link(WORLD)
                 self._join(element, scope, name, parent, child, axis)
 
-    def join_roots(self, frozen: bool) -> None:
-        """Fixes links without a joint to the first one, and makes the frame of the root that of the model."""
+    def join_roots(self, is_static: bool) -> None:
+        """Fixes links without a parent to the first one, and ensures that the frame of the root is that of the model."""
         roots = [name for name in [*self.extra_links, *self.flat.links] if name not in self._parents]
-        if len(roots) > 1 and not frozen:
+        if len(roots) > 1 and not is_static:
             rest = ", ".join(roots[1:])
             self.builder.warn(
-                f"{self.where}: no joint holds {rest}; fixed to {roots[0]}, spawn them one by one to move them independently"
+                f"{self.where}: no joint connects {rest}; fixed to {roots[0]}, spawn them one by one to move them independently"
             )
         root = roots[0]
         if not np.allclose(self._T_root[root], np.eye(4), atol=1e-9):
@@ -274,7 +274,7 @@ class _Tree:
                 self._fix(f"{name}_fixed", root, name)
 
     def order(self) -> list[str]:
-        """Returns the names of all links, parents first, otherwise in the order of the file."""
+        """Returns the names of all links in depth-first order, parents first."""
         names = [*self.extra_links, *self.flat.links]
         children: dict[str, list[str]] = {name: [] for name in names}
         for name in names:
@@ -287,14 +287,14 @@ class _Tree:
         return ordered
 
     def _join(self, element: Element, scope: _Scope, name: str, parent: str, child: str, axis: _JointAxis) -> None:
-        """Adds a joint. In URDF the joint's frame is that of its child, so a massless link at the joint is added if they differ in SDF."""
+        """Adds a joint. In URDF the joint's frame is that of its child; if they differ in SDF, a massless link is added at the joint."""
         T_root_joint = self._T_root_joint(element, scope, child)
         T_child_joint = invert(self._T_root[child]) @ T_root_joint
         if axis.kind in ("revolute", "continuous") and np.abs(T_child_joint[:3, 3]).max() > 1e-9:
-            middle = self._add_link(f"{name}_axis")
-            self._T_root[middle] = T_root_joint
-            self._fix(f"{name}_offset", middle, child)
-            child = middle
+            joint_link = self._add_link(f"{name}_axis")
+            self._T_root[joint_link] = T_root_joint
+            self._fix(f"{name}_offset", joint_link, child)
+            child = joint_link
         direction = np.array(axis.xyz)
         if axis.expressed_in or axis.in_model_frame(scope.version):
             T_root_frame = scope.T_root_model
@@ -313,35 +313,35 @@ class _Tree:
         )  # fmt: skip
 
     def _T_root_joint(self, element: Element, scope: _Scope, child: str) -> F64:
-        """Returns the pose (4, 4) of a joint in the frame of the outermost model; without a reference it is relative to its child."""
+        """Returns the pose (4, 4) of a joint in the frame of the outermost model; it is relative to the child by default."""
         pose = element.find("pose")
         reference = "" if pose is None else pose.get("relative_to", "")
         if reference:
             parent = scope.T_root_model @ self.models.frame(scope.model, reference, self.where)
         else:
             parent = self._T_root[child]
-            named = (element.findtext("child") or "").strip()
-            if scope.prefix + named.replace("::", _SCOPE) != child:
-                parent = scope.T_root_model @ self.models.frame(scope.model, named, self.where)
+            child_name = (element.findtext("child") or "").strip()
+            if scope.prefix + child_name.replace("::", _SCOPE) != child:
+                parent = scope.T_root_model @ self.models.frame(scope.model, child_name, self.where)
         return parent @ self.models.pose(element, self.where)
 
-    def _end(self, element: Element, scope: _Scope, tag: str) -> str:
-        """Returns the link at an end of a joint, WORLD, or "" if there is no such link."""
-        named = (element.findtext(tag) or "").strip()
-        if named == WORLD:
+    def _resolve_end(self, element: Element, scope: _Scope, tag: str) -> str:
+        """Returns the parent or child link of a joint, WORLD, or "" if the link does not exist."""
+        link_name = (element.findtext(tag) or "").strip()
+        if link_name == WORLD:
             return WORLD
-        name = scope.prefix + named.replace("::", _SCOPE)
+        name = scope.prefix + link_name.replace("::", _SCOPE)
         for _ in range(len(self.flat.frames) + 1):
             if name in self.flat.links:
                 return name
             name = self.flat.frames.get(name, "")
         return ""
 
-    def _is_above(self, upper: str, name: str) -> bool:
-        """Returns whether link ``upper`` is an ancestor of link ``name``."""
+    def _is_ancestor(self, ancestor: str, name: str) -> bool:
+        """Returns whether link ``ancestor`` is an ancestor of link ``name``."""
         while name in self._parents:
             name = self._parents[name]
-            if name == upper:
+            if name == ancestor:
                 return True
         return False
 
@@ -369,11 +369,11 @@ class _Tree:
 
 @dataclass(frozen=True, slots=True)
 class _JointAxis:
-    """Kind, axis, limits and dynamics of a joint, in the units of ``UrdfJoint``."""
+    """Type, axis, limits and dynamics of a joint, in the units of ``UrdfJoint``."""
 
     kind: str
     xyz: Vec3 = (0.0, 0.0, 1.0)
-    """Unit vector in the frame of the joint, or in another one: see the next two."""
+    """Unit vector in the frame of the joint, unless ``expressed_in`` or ``parent_model_frame`` names another frame."""
     expressed_in: str = ""
     """Frame of the axis (SDF 1.7 and later); empty = not given."""
     parent_model_frame: bool | None = None
@@ -386,30 +386,30 @@ class _JointAxis:
     friction: float = 0.0
 
     def in_model_frame(self, version: tuple[int, ...]) -> bool:
-        """Returns whether the axis is in the frame of the model: by <use_parent_model_frame>, else in SDF 1.4 and older."""
+        """Returns whether the axis is in the frame of the model: by <use_parent_model_frame> if given, else in SDF 1.4 and older."""
         if self.parent_model_frame is not None:
             return self.parent_model_frame
         return bool(version) and version <= (1, 4)
 
 
 def _joint_axis(element: Element, name: str, builder: SceneBuilder) -> _JointAxis:
-    """Returns the axis of a <joint>; a fixed one, after a warning, if its type is not simulated."""
+    """Returns the axis of a <joint>; a fixed axis, with a warning, if the joint type is not simulated."""
     kind = _KINDS.get(element.get("type", ""))
     where = f"joint {name}"
     if kind is None:
-        builder.warn(f"{where}: type {quoted(element.get('type', ''))} is not simulated; it does not move")
+        builder.warn(f"{where}: type {quoted(element.get('type', ''))} is not simulated; the joint is fixed")
         return _JointAxis("fixed")
     axis = element.find("axis")
     if kind == "fixed" or axis is None:
         if kind != "fixed":
-            builder.warn(f"{where}: has no <axis>; it turns about z of the joint")
+            builder.warn(f"{where}: has no <axis>; the z axis of the joint is used")
         return _JointAxis("continuous" if kind == "revolute" else kind)
     xyz = axis.find("xyz")
     text = "0 0 1" if xyz is None else (xyz.text or "").strip()
     values = numbers(text, (3,)) or [0.0, 0.0, 0.0]
     length = math.sqrt(sum(c * c for c in values))
     if length < 1e-9:
-        builder.warn(f"{where}: axis {quoted(text)} is no direction; z is used", OmissionKind.INVALID)
+        builder.warn(f"{where}: axis {quoted(text)} is not a direction; z is used", OmissionKind.INVALID)
         values, length = [0.0, 0.0, 1.0], 1.0
     in_model_frame = (axis.findtext("use_parent_model_frame") or "").strip().lower()
     lower = _limit(axis, "limit/lower", -math.inf, where, builder)
@@ -430,7 +430,7 @@ def _joint_axis(element: Element, name: str, builder: SceneBuilder) -> _JointAxi
         in_model_frame in ("1", "true") if in_model_frame else None,
         lower,
         upper,
-        # A negative or infinite limit means that there is none.
+        # A negative or infinite limit means no limit.
         effort if 0.0 < effort < _MAX_LIMIT else 0.0,
         velocity if 0.0 < velocity < _MAX_LIMIT else 0.0,
         damping if math.isfinite(damping) else 0.0,
@@ -439,7 +439,7 @@ def _joint_axis(element: Element, name: str, builder: SceneBuilder) -> _JointAxi
 
 
 def _limit(axis: Element, path: str, default: float, where: str, builder: SceneBuilder) -> float:
-    """Returns the number in an element, which may be infinite; the default if it has none."""
+    """Returns the number in an element, which may be infinite; the default if it is missing or, with a warning, not a number."""
     text = (axis.findtext(path) or "").strip()
     if not text:
         return default

@@ -1,6 +1,6 @@
 """Reads SDF models (1.4 to 1.9): frames, nested models and includes, visuals, collision shapes and materials.
 
-Models are placed in the scene as static shapes, without joints, masses and sensors; ``sdf.body`` reads models that physics moves.
+Models become static shapes of the scene, without joints, masses and sensors; ``sdf.body`` reads models as bodies for physics.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from gibson_sim.types import Rgba, Vec3
 Element = ElementTree.Element
 F64 = NDArray[np.float64]
 _PRIMITIVES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
-"""Shape -> the elements with its sizes."""
+"""Tag of a primitive -> tags of its sizes."""
 _PLANE_THICKNESS = 0.01
-"""Thickness of the box that stands for a plane, metres."""
+"""Thickness of the box that represents a plane, metres."""
 _SCRIPT_COLORS: dict[str, Rgba] = {
     "White": (1.0, 1.0, 1.0, 1.0), "Grey": (0.7, 0.7, 0.7, 1.0), "DarkGrey": (0.18, 0.18, 0.18, 1.0),
     "Black": (0.0, 0.0, 0.0, 1.0), "Red": (1.0, 0.0, 0.0, 1.0), "Green": (0.0, 1.0, 0.0, 1.0), "Blue": (0.0, 0.0, 1.0, 1.0),
     "Yellow": (1.0, 1.0, 0.0, 1.0), "Orange": (1.0, 0.5, 0.0, 1.0), "Purple": (1.0, 0.0, 1.0, 1.0), "Wood": (0.6, 0.4, 0.2, 1.0),
     "FlatBlack": (0.1, 0.1, 0.1, 1.0),
 }  # fmt: skip
-"""Colours of Gazebo's material scripts, sRGB and alpha, 0 to 1."""
+"""Name of a Gazebo material script -> colour, sRGB and alpha, 0 to 1."""
 _PLAIN_GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
-"""Colour of collision shapes that are drawn in place of missing visuals."""
+"""Colour of collision shapes that are drawn in place of missing visuals, sRGB and alpha."""
 _MAX_NESTING = 16
-"""Levels of nested models and frames."""
+"""Maximum nesting depth of models and frames."""
 _MAX_MODELS = 10_000
-"""Models of a scene, nested and included ones too."""
+"""Maximum number of models of a scene, including nested and included models."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,11 +56,11 @@ class IncludedModel:
     """(4, 4)."""
     file: Path
     name: str
-    """The name in the <include>, else the model's own, else that of its folder."""
+    """Name in the <include>, else that of the model, else that of its folder."""
 
 
 class SdfModels:
-    """Reads the models of one scene, and places them in its builder."""
+    """Reads the models of one scene, and adds them to its builder."""
 
     def __init__(self, builder: SceneBuilder, uris: UriResolver) -> None:
         self.builder = builder
@@ -72,7 +72,7 @@ class SdfModels:
     # Poses
 
     def pose(self, parent: Element, where: str) -> F64:
-        """Returns the pose (4, 4) in an element's <pose>, in whichever frame that is relative to; the identity if it has none."""
+        """Returns the pose (4, 4) in an element's <pose>, in the frame that it is relative to; the identity if it is missing."""
         element = parent.find("pose")
         if element is None or not (element.text or "").strip():
             return np.eye(4)
@@ -94,12 +94,12 @@ class SdfModels:
         return matrix_from_pose(pose_from_xyz_rpy(xyz, (roll, pitch, yaw)))
 
     def frame(self, model: Element, name: str, where: str, depth: int = 0) -> F64:
-        """Returns T_model_frame of a link, joint, frame or nested model of ``model`` by name."""
+        """Returns T_model_frame, (4, 4), of a link, joint, frame or nested model of ``model`` by name."""
         if name in ("", "__model__", model.get("name")):
             return np.eye(4)
         if depth > _MAX_NESTING:
             self.builder.warn(
-                f"{where}: frame {quoted(name)} is relative to itself; the model's own is used", OmissionKind.INVALID
+                f"{where}: frame {quoted(name)} is relative to itself; that of the model is used", OmissionKind.INVALID
             )
             return np.eye(4)
         for child in model:
@@ -109,11 +109,11 @@ class SdfModels:
         for child in model if rest else ():
             if child.tag == "model" and name_of(child) == head:
                 return self.placed(model, child, where, depth) @ self.frame(child, rest, where, depth + 1)
-        self.builder.warn(f"{where}: frame {quoted(name)} is unknown; the model's own is used", OmissionKind.INVALID)
+        self.builder.warn(f"{where}: frame {quoted(name)} is unknown; that of the model is used", OmissionKind.INVALID)
         return np.eye(4)
 
     def placed(self, model: Element, child: Element, where: str, depth: int = 0) -> F64:
-        """Returns T_model_child of a child element, whose pose may be relative to another frame of the model (SDF 1.7 and later)."""
+        """Returns T_model_child, (4, 4), of a child element, whose pose may be relative to another frame of the model (SDF 1.7 and later)."""
         pose = child.find("pose")
         reference = "" if pose is None else pose.get("relative_to", "")
         if not reference and child.tag == "frame":
@@ -152,8 +152,8 @@ class SdfModels:
         Args:
             element: the <include>.
             base: folder of the file with the <include>.
-            parent: the <model> or <world> with the <include>; None = its pose is relative to no other frame.
-            files: resolved paths of the nested files down to the one with the <include>, the outermost first.
+            parent: the <model> or <world> with the <include>; None = its pose is not relative to another frame.
+            files: resolved paths of the chain of including files, the outermost first, for the detection of cycles.
         """
         uri = (element.findtext("uri") or "").strip()
         try:
@@ -166,13 +166,13 @@ class SdfModels:
             return None
         name = (element.findtext("name") or "").strip() or model.get("name", "") or path.parent.name
         if Path(os.path.realpath(path)) in files:
-            self.builder.warn(f"model {name}: {path} includes itself; it is left out there", OmissionKind.INVALID)
+            self.builder.warn(f"model {name}: {path} includes itself; the inner one is left out", OmissionKind.INVALID)
             return None
         if element.find("pose") is None:
-            own = self.pose(model, name)
+            T_parent_model = self.pose(model, name)
         else:
-            own = self.pose(element, name) if parent is None else self.placed(parent, element, name)
-        return IncludedModel(model, own, path, name)
+            T_parent_model = self.pose(element, name) if parent is None else self.placed(parent, element, name)
+        return IncludedModel(model, T_parent_model, path, name)
 
     def include(
         self,
@@ -184,19 +184,19 @@ class SdfModels:
         parent: Element | None = None,
         files: tuple[Path, ...] = (),
     ) -> None:
-        """Places the model that an <include> names; the arguments are those of ``model`` and ``included``."""
-        found = self.included(element, base, parent, files)
-        if found is not None:
-            kind = _model_name((element.findtext("uri") or "").strip(), found.model)
-            at = T_world_parent @ found.T_parent_model
-            inner = (*files, Path(os.path.realpath(found.file)))
-            self.model(found.model, at, top or found.name, found.file.parent, depth + 1, kind, inner)
+        """Adds the model that an <include> names; the arguments are those of ``model`` and ``included``."""
+        included = self.included(element, base, parent, files)
+        if included is not None:
+            kind = _model_name((element.findtext("uri") or "").strip(), included.model)
+            T_world_model = T_world_parent @ included.T_parent_model
+            inner = (*files, Path(os.path.realpath(included.file)))
+            self.model(included.model, T_world_model, top or included.name, included.file.parent, depth + 1, kind, inner)
 
     def find_model(self, uri: str, base: Path) -> Path | None:
-        """Returns the SDF file of the model at a URI, or None after a warning; ``base``: folder of relative URIs."""
+        """Returns the SDF file of the model at a URI, or None with a warning; ``base``: folder of relative URIs."""
         found = self.uris.find(uri, base) if uri else None
         if found is None:
-            reason = "is on the network: download it and name the copy" if uri.startswith("http") else "is not there"
+            reason = "is on the network: download it and name the copy" if uri.startswith("http") else "does not exist"
             self.builder.warn(f"model {uri or '(without a uri)'} {reason}; left out", OmissionKind.MISSING_ASSET)
             return None
         if is_file(found):
@@ -217,22 +217,24 @@ class SdfModels:
         kind: str = "",
         files: tuple[Path, ...] = (),
     ) -> None:
-        """Places a model with everything in it.
+        """Adds a model with all its elements.
 
         Args:
             model: the <model>.
             T_world_model: (4, 4), with the model's own <pose>.
-            top: name of the outermost model, which becomes that of its shapes.
+            top: name of the outermost model, which becomes the name of the shapes.
             base: folder of the file with the model.
-            depth: number of models that it is nested in.
-            kind: name from which its semantic class is derived, empty = the model's own.
-            files: resolved paths of the nested files down to the one with the model, the outermost first.
+            depth: nesting depth of the model.
+            kind: name from which the semantic class is derived, empty = the name of the model.
+            files: resolved paths of the chain of including files, the outermost first, for the detection of cycles.
         """
         where = f"model {top}"
         self.check_nesting(where, depth)
         if not np.isfinite(T_world_model).all() or np.abs(T_world_model[:3, 3]).max() > FAR_AWAY:
             at = ", ".join(f"{c:g}" for c in T_world_model[:3, 3])
-            self.builder.warn(f"{where}: stands at ({at}) m, more than {FAR_AWAY:g} m off; left out", OmissionKind.INVALID)
+            self.builder.warn(
+                f"{where}: is at ({at}) m, more than {FAR_AWAY:g} m from the origin; left out", OmissionKind.INVALID
+            )
             return
         kind = kind or model.get("name", "")
         for child in model:
@@ -242,30 +244,30 @@ class SdfModels:
                 self.model(child, T_world_model @ self.placed(model, child, where), top, base, depth + 1, files=files)
         links = [(link, T_world_model @ self.placed(model, link, where)) for link in model.iterfind("link")]
         has_collision = any(link.find("collision") is not None for link, _ in links)
-        seen, solid = 0, 0
+        visual_count, collision_count = 0, 0
         for link, T_world_link in links:
             visuals = [
                 self._visual(model, element, T_world_model, T_world_link, top, base, class_from_model(kind), not has_collision)
                 for element in link.iterfind("visual")
             ]
-            seen += sum(visuals)
-            # Where all visuals are missing, the collision shapes are drawn, so that the link is no invisible obstacle.
-            lost = bool(visuals) and not any(visuals)
+            visual_count += sum(visuals)
+            # If all visuals are missing, the collision shapes are drawn, so that the link is not an invisible obstacle.
+            visuals_missing = bool(visuals) and not any(visuals)
             for element in link.iterfind("collision"):
                 for shape, matrix, plane in self.shapes(model, element, T_world_model, T_world_link, top, base):
                     if plane:
                         self._ground(matrix, where)
                         continue
-                    solid += 1
+                    collision_count += 1
                     self.builder.add_collision(top, shape, matrix)
-                    if lost:
-                        seen += 1
+                    if visuals_missing:
+                        visual_count += 1
                         self.builder.add_visual(top, shape, matrix, _PLAIN_GREY, class_from_model(kind))
                         self.builder.warn(
                             f"{where}: is drawn as its collision shapes, in plain grey: its visuals cannot be drawn"
                         )
-        if solid and not seen:
-            self.builder.warn(f"{where}: is solid but invisible: it has collision shapes, but no visual")
+        if collision_count and not visual_count:
+            self.builder.warn(f"{where}: is invisible: it has collision shapes, but no visual")
 
     def _visual(
         self,
@@ -276,55 +278,55 @@ class SdfModels:
         top: str,
         base: Path,
         kind: str,
-        solid: bool,
+        collides: bool,
     ) -> bool:
-        """Places a <visual>; returns whether it is drawn, or is invisible on purpose."""
+        """Adds a <visual>; returns whether it is drawn, or invisible on purpose."""
         color, visible = visual_color(element)
         geometry = element.find("geometry")
-        used = not visible or geometry is None or geometry.find("empty") is not None
+        handled = not visible or geometry is None or geometry.find("empty") is not None
         for shape, matrix, _ in self.shapes(model, element, T_world_model, T_world_link, top, base):
-            used = True
-            lacks = unread_material(element, self.builder.has_textures(shape)) if visible else ""
-            if lacks:
-                self.builder.warn(f"model {top}: {lacks}", OmissionKind.UNSUPPORTED_ASSET)
+            handled = True
+            warning = unsupported_material(element, self.builder.has_textures(shape)) if visible else ""
+            if warning:
+                self.builder.warn(f"model {top}: {warning}", OmissionKind.UNSUPPORTED_ASSET)
             if visible:
                 self.builder.add_visual(top, shape, matrix, color, kind)
-            if solid:
+            if collides:
                 self.builder.add_collision(top, shape, matrix)
-        return used
+        return handled
 
     def _ground(self, matrix: F64, where: str) -> None:
-        """Makes a level plane at T_world_box, (4, 4), the ground of the scene."""
+        """Sets the ground of the scene to a level plane at T_world_box, (4, 4)."""
         if matrix[2, 2] < 0.999:
             text = f"{where}: a plane that is not level cannot be a collision shape; left out"
             self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
             return
-        # The origin of the box lies half its thickness below the plane.
+        # The origin of the box is half its thickness below the plane.
         height = float(matrix[2, 3]) + _PLANE_THICKNESS / 2
         self.builder.ground_z = height if self.builder.ground_z is None else max(height, self.builder.ground_z)
 
     def check_nesting(self, where: str, depth: int) -> None:
-        """Counts one more model of the scene.
+        """Counts a model of the scene.
 
         Raises:
-            SceneError: it is nested too deeply, or there are too many.
+            SceneError: the model is nested too deeply, or the scene has too many models.
         """
         self._placed += 1
         if depth > _MAX_NESTING:
             raise SceneError(f"{where}: models are nested deeper than {_MAX_NESTING}; nest fewer")
         if self._placed > _MAX_MODELS:
-            raise SceneError(f"{where}: more than {_MAX_MODELS} models; do models include others that include others again?")
+            raise SceneError(f"{where}: the scene has more than {_MAX_MODELS} models; do models include each other?")
 
     def shapes(
         self, model: Element, element: Element, T_world_model: F64, T_world_link: F64, top: str, base: Path
     ) -> Iterator[tuple[Shape, F64, bool]]:
-        """Yields the shapes of a <visual> or <collision>, each with T_world_shape and whether it is a plane; none after a warning.
+        """Yields the shapes of a <visual> or <collision>, each with T_world_shape and whether it is a plane; skips invalid ones with a warning.
 
         Args:
             model: the <model>.
             element: the <visual> or <collision>.
-            T_world_model: (4, 4).
-            T_world_link: (4, 4), pose of its link.
+            T_world_model: pose of the model, (4, 4).
+            T_world_link: pose of the link, (4, 4).
             top: name of the outermost model, for warnings.
             base: folder of relative file names.
         """
@@ -356,40 +358,40 @@ class SdfModels:
         uri = (element.findtext("uri") or element.findtext("filename") or "").strip()
         path = self.uris.find(uri, base) if uri else None
         if path is None:
-            text = f"{where}: mesh {uri or '(without a uri)'} is not there; left out"
+            text = f"{where}: mesh {uri or '(without a uri)'} does not exist; left out"
             self.builder.warn(text, OmissionKind.MISSING_ASSET)
             return
-        given = element.findtext("scale") or "1 1 1"
-        scale = numbers(given, (3,)) or [0.0]
+        text_of_scale = element.findtext("scale") or "1 1 1"
+        scale = numbers(text_of_scale, (3,)) or [0.0]
         if not all(scale):
-            text = f"{where}: scale of {path.name} is {given.strip()}, must be three finite numbers, none of them 0; left out"
+            text = f"{where}: scale of {path.name} is {text_of_scale.strip()}, must be three finite numbers, none of them 0; left out"
             self.builder.warn(text, OmissionKind.INVALID)
             return
         if element.find("submesh") is not None:
             text = f"{where}: <submesh> of {path.name} is not supported; the whole mesh is used"
             self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
         try:
-            # Gazebo ignores the up_axis of a DAE, and worlds are built for that.
+            # Gazebo ignores the up_axis of a DAE, and worlds rely on that.
             up_axis: UpAxis | None = "z" if path.suffix.lower() == ".dae" else None
             yield self.builder.mesh_shape(path, matrix, (scale[0], scale[1], scale[2]), up_axis)
         except MeshError as e:
             self.builder.warn(f"{where}: {e}; left out", OmissionKind.UNSUPPORTED_ASSET)
 
     def weld(self, model: Element, T_world_child: F64, child: str, where: str) -> F64:
-        """Returns the T_world_model that puts the model's frame ``child`` at T_world_child (4, 4)."""
+        """Returns T_world_model, (4, 4), such that the model's frame ``child`` is at T_world_child (4, 4)."""
         return T_world_child @ invert(self.frame(model, child, where))
 
 
 def read_sdf(builder: SceneBuilder, path: Path) -> Element:
-    """Returns the root of an SDF file, which becomes part of the scene's digest.
+    """Returns the root element of an SDF file, and adds the file to the scene's digest.
 
     Raises:
-        SceneError: the file cannot be read, or is no XML.
+        SceneError: the file cannot be read, or is not XML.
     """
     try:
         return parse_xml(builder.read_bytes(path))
     except TextError as e:
-        raise SceneError(f"{path}: {e}").telling(e.public) from e
+        raise SceneError(f"{path}: {e}").with_public(e.public) from e
 
 
 def sdf_files(folder: Path) -> list[Path]:
@@ -401,7 +403,7 @@ def sdf_files(folder: Path) -> list[Path]:
             version = tuple(float(v) for v in element.get("version", "0").split(".") if v.isdigit())
             named.append((version, folder / (element.text or "").strip()))
     except (OSError, TextError):
-        # Without a readable model.config only the default name is left.
+        # Without a readable model.config only the default name remains.
         named = []
     return [path for _, path in sorted(named, reverse=True)] + [folder / "model.sdf"]
 
@@ -412,12 +414,12 @@ def sdf_version(root: Element) -> tuple[int, ...]:
 
 
 def name_of(element: Element) -> str:
-    """Returns the name of an element: its attribute, or the <name> of an <include>."""
+    """Returns the name of an element: its attribute ``name``, or the <name> of an <include>."""
     return element.get("name", "") or (element.findtext("name") or "").strip()
 
 
 def numbers(text: str | None, counts: tuple[int, ...]) -> list[float] | None:
-    """Returns the numbers in an element's text; None if one is not finite, or their count is none of ``counts``."""
+    """Returns the numbers in an element's text; None if one is not finite, or their count is not in ``counts``."""
     try:
         values = [float(word) for word in (text or "").split()]
     except ValueError:
@@ -426,7 +428,7 @@ def numbers(text: str | None, counts: tuple[int, ...]) -> list[float] | None:
 
 
 def visual_color(element: Element) -> tuple[Rgba | None, bool]:
-    """Returns the colour of a <visual>'s shape, None = the mesh's own, and whether it is visible at all."""
+    """Returns the colour of a <visual>, sRGB and alpha, None = that of the mesh, and whether it is visible."""
     transparency = numbers(element.findtext("transparency"), (1,)) or [0.0]
     alpha = 1.0 - min(max(transparency[0], 0.0), 1.0)
     if alpha < 0.01:
@@ -445,12 +447,12 @@ def visual_color(element: Element) -> tuple[Rgba | None, bool]:
     return (*base[:3], base[3] * alpha), True
 
 
-def unread_material(element: Element, textured: bool) -> str:
-    """Returns a message about a part of a <visual>'s material that is not drawn; empty = all of it is.
+def unsupported_material(element: Element, textured: bool) -> str:
+    """Returns a warning about a part of a <visual>'s material that is not drawn; empty = none.
 
     Args:
         element: the <visual>.
-        textured: whether its mesh has textures of its own, which mostly are those of the <pbr>.
+        textured: whether its mesh has textures, which usually are those of the <pbr>.
     """
     material = element.find("material")
     if material is None:
@@ -463,13 +465,13 @@ def unread_material(element: Element, textured: bool) -> str:
 
 
 def _model_name(uri: str, model: Element) -> str:
-    """Returns the name of an included model from which its semantic class is derived: that of its folder, else its own."""
+    """Returns the name from which the semantic class of an included model is derived: that of its folder, else that of the model."""
     parts = [p for p in uri.partition("://")[2].split("/") if p and p != "models"]
     return parts[0] if parts and uri.startswith(("model://", "file://")) else model.get("name", "")
 
 
 def _primitive(element: Element) -> Shape | None:
-    """Returns the shape of a <box>, <sphere> or <cylinder>; None for other elements, and without sizes above 0."""
+    """Returns the shape of a <box>, <sphere> or <cylinder>; None for other elements, and for invalid sizes."""
     tags = _PRIMITIVES.get(element.tag)
     if tags is None:
         return None
@@ -483,17 +485,17 @@ def _primitive(element: Element) -> Shape | None:
 
 
 def _plane_box(element: Element, matrix: F64) -> tuple[Shape, F64]:
-    """Returns a thin box whose upper face is the <plane>, and T_world_box; ``matrix``: T_world_plane, (4, 4)."""
+    """Returns a thin box whose upper face is the <plane>, and T_world_box, (4, 4); ``matrix``: T_world_plane, (4, 4)."""
     x, y = (numbers(element.findtext("size"), (2,)) or [1.0, 1.0])[:2]
     normal = np.array(numbers(element.findtext("normal"), (3,)) or [0.0, 0.0, 1.0])
-    turned = matrix @ _rotation_from_z(normal)
-    down = np.eye(4)
-    down[2, 3] = -_PLANE_THICKNESS / 2
-    return Shape("box", (max(x, 1e-3), max(y, 1e-3), _PLANE_THICKNESS)), turned @ down
+    T_world_face = matrix @ _rotation_from_z(normal)
+    T_face_box = np.eye(4)
+    T_face_box[2, 3] = -_PLANE_THICKNESS / 2
+    return Shape("box", (max(x, 1e-3), max(y, 1e-3), _PLANE_THICKNESS)), T_world_face @ T_face_box
 
 
 def _rotation_from_z(normal: F64) -> F64:
-    """Returns a rotation (4, 4) that takes the z axis to ``normal`` (3,)."""
+    """Returns a rotation (4, 4) that maps the z axis to ``normal`` (3,)."""
     matrix = np.eye(4)
     length = np.linalg.norm(normal)
     if length == 0:

@@ -18,18 +18,18 @@ from gibson_sim.scenes.spec import LightSpec, PointLight
 from gibson_sim.types import Vec3
 
 _SUN = 0.7
-"""Strength of a directional light with white diffuse colour: Gazebo adds ambient and specular light on top."""
+"""Strength of a directional light with white diffuse colour; below 1, since ambient and specular light are added."""
 _LAMP = 0.25
-"""The same for lamps, each of which, without shadows, also lights the rooms next to its own."""
+"""Strength of a point or spot light with white diffuse colour; low, since without shadows it also lights adjacent rooms."""
 _MIN_AMBIENT = 0.2
-"""Least ambient light: a scene without light would be black."""
+"""Minimum ambient light, so that a scene without lights is not black."""
 
 
 def read_sdf_world(builder: SceneBuilder, path: Path) -> None:
     """Adds the content of a world file to the builder.
 
     Raises:
-        SceneError: the file is no SDF world.
+        SceneError: the file is not an SDF world.
     """
     place_world(builder, read_sdf(builder, path), path)
 
@@ -40,10 +40,10 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
     Args:
         builder: the builder.
         root: the outermost element.
-        path: the file, for messages and relative names; need not exist.
+        path: path of the file, for messages and relative names; need not exist.
 
     Raises:
-        SceneError: the document is no SDF world.
+        SceneError: the document is not an SDF world.
     """
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None
     if world is None:
@@ -68,7 +68,7 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
 
 
 def _include(builder: SceneBuilder, models: SdfModels, world: Element, element: Element, base: Path) -> None:
-    """Places an <include> of the world; Gazebo's own sun and ground plane need no files."""
+    """Adds an <include> of the world; Gazebo's sun and ground plane are built in."""
     uri = (element.findtext("uri") or "").strip().rstrip("/")
     known = uri.rpartition("/")[2].lower().replace("_", " ")
     if known == "sun" and models.uris.find(uri, base) is None:
@@ -81,7 +81,7 @@ def _include(builder: SceneBuilder, models: SdfModels, world: Element, element: 
 
 
 def _light(world: Element, models: SdfModels, with_lamps: bool) -> LightSpec:
-    """Returns the first directional light, the lamps, the ambient light and the background of a world."""
+    """Returns the light of a world: the first directional light, point and spot lights, ambient light and background."""
     default = LightSpec()
     ambient_rgb = numbers(world.findtext("scene/ambient"), (3, 4))
     ambient = default.ambient if ambient_rgb is None else float(np.clip(np.mean(ambient_rgb[:3]), 0.0, 1.0))
@@ -90,7 +90,7 @@ def _light(world: Element, models: SdfModels, with_lamps: bool) -> LightSpec:
     if with_lamps:
         lamps = tuple(filter(None, (_lamp(models, world, light) for light in lights if light.get("type") in ("point", "spot"))))
     elif any(light.get("type") != "directional" for light in lights):
-        # Lamps cast no shadows: each would light the whole house through its walls.
+        # Point and spot lights cast no shadows: each would light the whole house through its walls.
         ambient = max(ambient, default.ambient)
     ambient = max(ambient, _MIN_AMBIENT)
     sun = next((light for light in lights if light.get("type") == "directional"), None)
@@ -110,36 +110,38 @@ def _light(world: Element, models: SdfModels, with_lamps: bool) -> LightSpec:
 
 
 def _color_and_strength(light: Element) -> tuple[Vec3, float]:
-    """Returns the colour of a light, its brightest channel at 1, and its strength, 0 to 1."""
+    """Returns the colour of a light, normalised to a maximum channel of 1, and its strength, 0 to 1."""
     rgb = [min(max(c, 0.0), 1.0) for c in (numbers(light.findtext("diffuse"), (3, 4)) or [0.8, 0.8, 0.8])[:3]]
-    top = max(rgb)
+    brightest = max(rgb)
     mean = sum(rgb) / 3.0
-    return ((rgb[0] / top, rgb[1] / top, rgb[2] / top), mean) if top > 0.0 else ((1.0, 1.0, 1.0), 0.0)
+    return ((rgb[0] / brightest, rgb[1] / brightest, rgb[2] / brightest), mean) if brightest > 0.0 else ((1.0, 1.0, 1.0), 0.0)
 
 
 def _lamp(models: SdfModels, world: Element, light: Element) -> PointLight | None:
-    """Returns a point or spot light; None if it is off, or if a number cannot be read."""
+    """Returns a point or spot light; None if it is off, or a number is invalid."""
     color, strength = _color_and_strength(light)
     parts = [numbers(light.findtext(f"attenuation/{part}"), (1,)) for part in ("constant", "linear", "quadratic")]
     a, b, c = (max(part[0], 0.0) if part else 0.0 for part in parts)
     if strength <= 0.0 or not (a or b or c or not any(parts)):
         return None
     matrix = models.placed(world, light, f"light {light.get('name', '')}")
-    reach = numbers(light.findtext("attenuation/range"), (1,))
+    light_range = numbers(light.findtext("attenuation/range"), (1,))
     spot: dict[str, Any] = {}
     if light.get("type") == "spot":
-        given = numbers(light.findtext("direction"), (3,))
-        along = matrix[:3, :3] @ (given if given is not None and any(given) else [0.0, 0.0, -1.0])
-        # Full angles of the two cones.
+        local_direction = numbers(light.findtext("direction"), (3,))
+        direction = matrix[:3, :3] @ (
+            local_direction if local_direction is not None and any(local_direction) else [0.0, 0.0, -1.0]
+        )
+        # SDF gives the full angles of the two cones.
         inner, outer = (numbers(light.findtext(f"spot/{name}_angle"), (1,)) for name in ("inner", "outer"))
         half = min(max(outer[0] / 2.0, 0.01), math.pi) if outer else math.pi
-        spot = {"direction": tuple(map(float, along)), "outer_angle": half}
+        spot = {"direction": tuple(map(float, direction)), "outer_angle": half}
         spot["inner_angle"] = min(max(inner[0] / 2.0, 0.0), half) if inner else half
     return PointLight(
         position=(float(matrix[0, 3]), float(matrix[1, 3]), float(matrix[2, 3])),
         color=color,
         strength=_LAMP * strength,
-        range=max(reach[0], 0.0) if reach else 10.0,
+        range=max(light_range[0], 0.0) if light_range else 10.0,
         attenuation=(a, b, c) if a or b or c else (1.0, 0.0, 0.0),
         **spot,
     )
