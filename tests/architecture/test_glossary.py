@@ -11,7 +11,7 @@ import pytest
 NEXT = {
     "_on_command": "receive_command",
     "receive_command": "_received_commands",
-    "_make_steps": "latch_commands",
+    "_execute_steps": "latch_commands",
     "_step": "apply_commands",
     "apply_commands": "_apply",
     "_apply": "command",

@@ -1,1 +1,1 @@
-"""The node programs, and what their processes have in common: start and end, parameters, waiting for a simulation."""
+"""The nodes, and the common parts of their processes: start and end, parameters, waiting for a simulation."""

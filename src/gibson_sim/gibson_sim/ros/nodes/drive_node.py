@@ -1,4 +1,4 @@
-"""The drive node: drives a robot like a user's own node would, by standard topics alone."""
+"""The drive node: drives a robot as a user's own node would, through standard topics only."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
 
 KEYS = {"w": (1, 0), "x": (-1, 0), "a": (0, 1), "d": (0, -1), "q": (1, 1), "e": (1, -1), "s": (0, 0), " ": (0, 0)}
-"""Key -> direction of (linear, angular)."""
+"""Key -> signs of the linear and the angular velocity."""
 KEY_HELP = "w forward, x backward, a/d turn left/right, q/e forward and turn, s or space stop, Ctrl-C end"
 TOUR_LENGTH, FORWARD_LENGTH = 30.0, 2.0
-"""Default lengths of a tour and of other drives, m."""
+"""Default length of a tour and of other drives, m."""
 _MATCH_TIMEOUT_S, _LAUNCHED_MATCH_TIMEOUT_S = 10.0, 60.0
-"""Wall time until all subscribers of the commands must be matched, s: normally, and under the launcher, which may start a recorder."""
+"""Timeouts for the matching of all subscribers of the commands, s of wall time: normally, and under the launcher, which may start a recorder."""
 
 
 class DriveNode(Node):
@@ -55,7 +55,11 @@ class DriveNode(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Reads the script or loads the scene to plan in. ``kwargs`` go to ``rclpy.node.Node``."""
+        """Reads the script, or loads the scene in which the tour is planned. ``kwargs`` go to ``rclpy.node.Node``.
+
+        Raises:
+            GibsonSimError: a setting, the script, the scene or the robot cannot be used.
+        """
         super().__init__("drive", **kwargs)
         self._config = config = config_from_parameters(self, DriveConfig)
         self._drive: _Drive | None = None
@@ -66,7 +70,7 @@ class DriveNode(Node):
             self._drive = _KeyboardDrive(config)
         elif config.drive == "tour":
             for module in (load_scene.__module__, load.__name__):
-                logging.getLogger(module).setLevel(logging.ERROR)  # the physics node has logged the same
+                logging.getLogger(module).setLevel(logging.ERROR)  # the physics node logs the same warnings
             robot = load_robot(config.robot)
             self._map, self._radius = furnished_floor_map(load_scene(config.scene), robot), robot.radius
         else:
@@ -81,7 +85,7 @@ class DriveNode(Node):
         self._lockstep: LockstepParticipant | None = None
 
     def _try_to_start(self) -> None:
-        """Starts once the simulation is there and all subscribers of the commands are matched; time waits for that."""
+        """Starts once the simulation runs and all subscribers of the commands are matched; time waits for that."""
         if self._started or not self._simulation.is_met():
             return
         if self._start_by is None:
@@ -96,13 +100,13 @@ class DriveNode(Node):
             )
         self._started = True
         self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_odometry, qos.STATE)
-        if not started_by_launcher():  # which tells a user that a run starts paused
+        if not started_by_launcher():  # the launcher reports that a run starts paused
             self._silence = SilenceNotice(self, self.get_logger().warning, None, time.monotonic())
-        if self._config.drive != "keyboard":  # a user does not press a key in every tick
+        if self._config.drive != "keyboard":  # a user does not press a key at every tick
             self._lockstep = LockstepParticipant(self, after=names.GROUND_TRUTH)
 
     def _on_odometry(self, msg: Odometry) -> None:
-        """Answers each odometry with one command."""
+        """Publishes one command for each odometry message."""
         if self._silence is not None:
             self._silence.end()
         if self._done:
@@ -117,7 +121,7 @@ class DriveNode(Node):
         self._done = self._drive.done
 
     def _plan(self, x: float, y: float) -> _Drive:
-        """Returns a tour that starts at (x, y)."""
+        """Returns a tour that starts at (x, y), m."""
         assert self._map is not None
         path = plan_tour(self._map, (x, y), self._radius, self._config.length or TOUR_LENGTH)
         self.get_logger().info(f"tour of {len(path)} points starts at x {x:.2f} m, y {y:.2f} m")
@@ -136,7 +140,7 @@ class DriveNode(Node):
         """Drives until the drive is done or the context ends; returns the exit code."""
         spin_while(self, self._is_unfinished)
         wait_until_acknowledged(self._publisher)
-        if self._lockstep is not None and not started_by_launcher():  # which ends the run at this tick
+        if self._lockstep is not None and not started_by_launcher():  # the launcher ends the run at this tick
             self._lockstep.leave()
         self.get_logger().info(f"{'done' if self._done else 'stopped'} after {self._sent} commands")
         return 0
@@ -154,16 +158,16 @@ class DriveNode(Node):
 
 
 class _Drive:
-    """Computes the command at a pose and a time; ``done`` ends the drive."""
+    """Computes the velocity command at a pose and a time; ``done`` ends the drive."""
 
     done = False
 
     def command(self, x: float, y: float, yaw: float, stamp_ns: int) -> tuple[float, float]:
-        """Returns forward speed (m/s) and yaw rate (rad/s)."""
+        """Returns the linear (m/s) and the angular velocity (rad/s) at x, y (m) and yaw (rad)."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """Releases its resources."""
+        """Releases the resources of the drive."""
 
 
 class _TourDrive(_Drive):

@@ -1,4 +1,4 @@
-"""The ``main`` of every node: starts rclpy, reports user errors in one line, stops cleanly on SIGINT and SIGTERM."""
+"""The ``main`` of every node: starts rclpy, reports user errors in one line, ends cleanly on SIGINT and SIGTERM."""
 
 from __future__ import annotations
 
@@ -41,28 +41,26 @@ logger = logging.getLogger(__name__)
 ExecutorKind = Literal["auto", "events", "standard"]
 
 
-def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
-    """Makes the node, calls its ``spin() -> exit code`` and, whatever happens, its ``close()``.
+def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> None:
+    """Creates a node, calls its ``spin() -> exit code`` and finally its ``close()``.
 
-    Ends the process with the node's code, or with 1 and one line on stderr for a user's error.
+    Ends the process with the node's exit code, or with 1 and one line on stderr for a user error.
     """
     logging.addLevelName(logging.WARNING, "WARN")  # as rclpy spells it
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
-    faulthandler.register(signal.SIGUSR1)  # prints the stack of each thread on stderr
+    faulthandler.register(signal.SIGUSR1)  # prints the stack of each thread to stderr
     end_with_parent()
     keep_large_blocks()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except (
-        RuntimeError
-    ) as error:  # of rcl: SROS2 keys that are missing, a domain that does not exist, an argument it cannot parse
+    except RuntimeError as error:  # from rcl: missing SROS2 keys, an invalid domain, an argument that it cannot parse
         unknown = "unknown arguments: " if type(error).__name__ == "UnknownROSArgsError" else ""
         print(f"error: ROS cannot start: {unknown}{error}", file=sys.stderr, flush=True)
         sys.exit(1)
     code = 0
     with _signals:
         try:
-            code = _make_and_spin(make)
+            code = _create_and_spin(make_node)
         except KeyboardInterrupt:
             pass
         except Exception:
@@ -72,12 +70,12 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
 
 
 def is_running() -> bool:
-    """Returns whether the process has not been asked to end: the condition of every node's loop."""
-    return rclpy.ok() and not _signals.asked
+    """Returns whether no end of the process is requested: the condition of every node's loop."""
+    return rclpy.ok() and not _signals.end_requested
 
 
 def spin_while(node: Node, condition: Callable[[], bool] = lambda: True) -> None:
-    """Spins a node while ``condition()`` holds and the process is not asked to end; checks both at least ten times a second."""
+    """Spins a node while ``condition()`` holds and no end of the process is requested; checks both at least ten times a second."""
     executor = make_executor()
     executor.add_node(node)
     while is_running() and condition():
@@ -88,13 +86,13 @@ def make_executor(kind: ExecutorKind = "auto", *, context: Context | None = None
     """Returns a single-threaded executor.
 
     Args:
-        kind: ``events`` reacts to events of the middleware at a cost that does not grow with the number of a node's entities; rclpy
-            calls it experimental. ``standard`` is rclpy's SingleThreadedExecutor, which at every turn builds a wait set of all
-            entities: a quarter of a millisecond in the physics node. ``auto`` is ``events`` where rclpy has it (7.1.4 and later).
-        context: of the nodes to come; None = the default one.
+        kind: ``events`` handles events of the middleware, at a cost that does not depend on the number of entities of a node; rclpy calls
+            it experimental. ``standard`` is rclpy's SingleThreadedExecutor, which builds a wait set of all entities in every iteration:
+            a quarter of a millisecond in the physics node. ``auto`` is ``events`` if rclpy has it (7.1.4 and later).
+        context: context of the nodes that will be added; None = the default one.
 
     Raises:
-        ImportError: ``events`` is requested and rclpy has none.
+        ImportError: ``events`` is requested and rclpy does not have it.
     """
     if kind == "standard":
         return SingleThreadedExecutor(context=context)
@@ -103,17 +101,17 @@ def make_executor(kind: ExecutorKind = "auto", *, context: Context | None = None
     except ImportError:
         if kind == "events":
             raise
-        logger.info("this rclpy has no EventsExecutor: the standard executor takes more of a processor")
+        logger.info("this rclpy has no EventsExecutor: the standard executor needs more CPU time")
         return SingleThreadedExecutor(context=context)
     executor: Executor = EventsExecutor(context=context)
     return executor
 
 
 def write_summary(path: str, summary: dict[str, Any]) -> None:
-    """Writes the summary as JSON; an empty path = nowhere.
+    """Writes the summary as JSON, unless the path is empty.
 
     Raises:
-        WriteError: it cannot be written.
+        WriteError: the file cannot be written.
     """
     if path:
         write_file(path, json.dumps(summary, indent=2) + "\n")
@@ -125,63 +123,63 @@ def started_by_launcher() -> bool:
 
 
 _PR_SET_PDEATHSIG = 1
-"""Option of prctl(2)."""
+"""Number of an option of prctl(2)."""
 
 
 def end_with_parent() -> None:
-    """Asks the kernel to end this process when the launcher that started it ends."""
+    """Requests from the kernel that this process ends when its launcher ends."""
     if not started_by_launcher():
         return
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != int(os.environ[PARENT_VARIABLE]):  # it ended before the call
+    if os.getppid() != int(os.environ[PARENT_VARIABLE]):  # the launcher ended before the call
         sys.exit(1)
 
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-"""Parameters of mallopt(3)."""
+"""Numbers of parameters of mallopt(3)."""
 
 
 def keep_large_blocks() -> None:
-    """Keeps malloc from returning image-sized blocks to the kernel: page faults, not copies, bound large messages."""
+    """Prevents malloc from returning image-sized blocks to the kernel: page faults, not copies, dominate the cost of large messages."""
     try:
         libc = ctypes.CDLL("libc.so.6")
         libc.mallopt(_M_MMAP_THRESHOLD, 32 << 20)
         libc.mallopt(_M_TRIM_THRESHOLD, 256 << 20)
     except (OSError, AttributeError):
-        logger.debug("no glibc mallopt here; large messages are a little slower")
+        logger.debug("no glibc mallopt; large messages are slightly slower")
 
 
 class _Signals(Interruptible):
-    """SIGINT and SIGTERM: while a node spins, the first asks it to end after the present callback, a second one ends it at once.
+    """Handles SIGINT and SIGTERM: while a node spins, the first ends it after the running callback, a second one ends it immediately.
 
-    rclpy's own handlers would end the context in the middle of a callback that is about to publish.
+    rclpy's own handlers would shut down the context in the middle of a callback that is about to publish.
     """
 
     def __init__(self) -> None:
         super().__init__(signal.SIGINT, signal.SIGTERM)
-        self.spinning = self.asked = False
+        self.spinning = self.end_requested = False
 
     def __enter__(self) -> _Signals:
-        self.spinning = self.asked = False
+        self.spinning = self.end_requested = False
         super().__enter__()
         return self
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.asked or not self.spinning:
+        if self.end_requested or not self.spinning:
             super()._on_signal(number, frame)
-        self.asked = True
+        self.end_requested = True
 
 
 _signals = _Signals()
 
 
-def _make_and_spin(make: Callable[[], Any]) -> int:
-    """Makes a node, spins it and closes it; returns its exit code."""
+def _create_and_spin(make_node: Callable[[], Any]) -> int:
+    """Creates a node, spins it and closes it; returns its exit code."""
     node = None
     code = 1
     try:
         with _errors_reported():
-            node = make()
+            node = make_node()
             guard_parameters(node)
             _signals.spinning = True
             code = int(node.spin())
@@ -199,7 +197,7 @@ def _make_and_spin(make: Callable[[], Any]) -> int:
 
 @contextmanager
 def _errors_reported() -> Iterator[None]:
-    """Ends the block with one line on stderr at an error that the user can fix, such as a full disk."""
+    """Ends the block with one line on stderr on an error that the user can fix, such as a full disk."""
     try:
         yield
     except (GibsonSimError, OSError) as error:
@@ -214,12 +212,12 @@ def _errors_reported() -> Iterator[None]:
 
 _Callback = Callable[[Any, Any], Any]
 _READING = (DescribeParameters, GetParameters, GetParameterTypes, ListParameters)
-_LONGEST_REASON = 200
-"""Characters of the reason in an answer and in the log."""
+_MAX_REASON_LENGTH = 200
+"""Maximum length of the reason in a response and in the log, characters."""
 
 
 def guard_parameters(node: Node) -> None:
-    """Makes the parameter services of a node answer every request, with a reason for what is refused, where rclpy would raise."""
+    """Wraps the parameter services of a node so that they respond to every request, with a reason if it is refused, where rclpy would raise."""
     for service in node.services:
         if service.srv_type is SetParameters:
             service.callback = partial(_set, node, service.callback)
@@ -257,6 +255,6 @@ def _read(node: Node, callback: _Callback, request: Any, response: Any) -> Any:
 
 
 def _refusal(node: Node, error: Exception) -> SetParametersResult:
-    reason = clipped(str(error), _LONGEST_REASON) or type(error).__name__
+    reason = clipped(str(error), _MAX_REASON_LENGTH) or type(error).__name__
     node.get_logger().warning(f"a parameter request is refused: {reason}", throttle_duration_sec=1.0)
     return SetParametersResult(successful=False, reason=reason)

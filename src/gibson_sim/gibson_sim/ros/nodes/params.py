@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class HasParameters(Protocol):
-    """The methods of a node that are used here."""
+    """The methods of a node that this module uses."""
 
     def declare_parameter(self, name: str, value: Any, descriptor: ParameterDescriptor) -> Any:
         """Declares a parameter and returns it."""
@@ -24,39 +24,39 @@ class HasParameters(Protocol):
 
 
 def config_from_parameters(node: HasParameters, cls: type[T], *, changeable: tuple[str, ...] = ()) -> T:
-    """Declares one parameter per field of ``cls``, read-only but for ``changeable``, and returns ``cls`` filled with the values.
+    """Declares one parameter per field of ``cls``, read-only except ``changeable``, and returns ``cls`` with the values.
 
-    The dataclass checks types and limits, so that a wrong value gives the same message from everywhere. The limits are declared
-    afterwards; otherwise rclpy would refuse the value first, with its own message.
+    The dataclass checks types and limits, so that the error message of an invalid value is the same for all interfaces. The limits are
+    declared afterwards; otherwise rclpy would refuse the value first, with its own message.
 
     Raises:
         ConfigError: a value has the wrong type or is not allowed.
     """
     settings = fields(cls)  # type: ignore[arg-type]
-    free = {f.name: ParameterDescriptor(dynamic_typing=True) for f in settings}
-    config = cls(**{f.name: node.declare_parameter(f.name, f.default, free[f.name]).value for f in settings})
+    unlimited = {f.name: ParameterDescriptor(dynamic_typing=True) for f in settings}
+    config = cls(**{f.name: node.declare_parameter(f.name, f.default, unlimited[f.name]).value for f in settings})
     for f in settings:
         node.set_descriptor(f.name, descriptor_of(f, changeable=f.name in changeable))
     return config
 
 
 def descriptor_of(f: Field[Any], *, changeable: bool) -> ParameterDescriptor:
-    """Returns the parameter descriptor of a setting: its meaning, its limits in words, and as a range if both are finite.
+    """Returns the parameter descriptor of a setting: its description, its limits as text, and as a range if both are finite.
 
     Args:
-        f: field made by ``setting``.
-        changeable: the parameter may be set while the node runs.
+        f: field created by ``setting``.
+        changeable: whether the parameter may be set while the node runs.
     """
-    words = [f"one of {', '.join(f.metadata['choices'])}" if f.metadata["choices"] else limits_of(f)]
-    words += [] if changeable else ["read when the node starts: restart it to change this"]
+    constraints = [f"one of {', '.join(f.metadata['choices'])}" if f.metadata["choices"] else limits_of(f)]
+    constraints += [] if changeable else ["read when the node starts: restart it to change this"]
     descriptor = ParameterDescriptor(
         description=f.metadata["doc"],
-        additional_constraints="; ".join(filter(None, words)),
+        additional_constraints="; ".join(filter(None, constraints)),
         read_only=not changeable,
-        dynamic_typing=True,  # an integer may stand for a number with a point, as in `ros2 param set /physics rate 2`
+        dynamic_typing=True,  # a float may be given as an integer, as in `ros2 param set /physics rate 2`
     )
     low, high = f.metadata["minimum"], f.metadata["maximum"]
-    # A range has two ends. One up to the greatest number would make a slider that no user can set.
+    # A range has two ends: with the largest number as the upper one, GUIs would show a useless slider.
     if math.isfinite(low) and math.isfinite(high):
         if type(f.default) is int:
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]

@@ -46,13 +46,13 @@ from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import NS_PER_S
 
 _LOCKSTEP_TICKS_AT_ONCE = 64
-"""Most ticks without a pending participant that one turn of the loop makes."""
+"""Maximum number of ticks without a pending participant in one iteration of the loop."""
 
 
 class PhysicsNode(Node):
     """Steps the world and publishes all data of a step with one stamp.
 
-    Parameters: the fields of ``gibson_sim.config.PhysicsConfig``; ``rate`` may be changed while it runs.
+    Parameters: the fields of ``gibson_sim.config.PhysicsConfig``; ``rate`` may be changed at run time.
 
     Publishes:
         real_time_factor (std_msgs/Float64): simulation time over wall time, once a second of wall time.
@@ -107,11 +107,13 @@ class PhysicsNode(Node):
             self._images.enable(config.rate == 0.0)
         self._stats = PhysicsStats(self, config, self._simulator, self._pacer, self._journal, self._gate)
         self._published: tuple[PhysicsWorld | None, int] = (None, -1)
-        """World and revision of the scene that were published last."""
+        """World and scene revision that were published last."""
         self._published_epoch = -1
         self._timer: Timer | None = None
         self._done = self._announced = False
-        self._sim_services = SimulationServices(self, self.simulator, config.service_prefix, self._journal.record, config.lockstep)
+        self._sim_services = SimulationServices(
+            self, self.simulator, config.service_prefix, self._journal.record, config.lockstep
+        )
         self._publish_changes()
         if self._gate is not None:
             self._gate.subscribe(self._stamped)
@@ -123,12 +125,12 @@ class PhysicsNode(Node):
 
     @property
     def simulator(self) -> Simulator:
-        """World and state; it exists from the end of the constructor to ``close``."""
+        """Simulator of the world; available until ``close``."""
         assert self._simulator is not None, "the node is closed"
         return self._simulator
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Sets the rate while the simulation runs."""
+        """Applies a change of ``rate`` at run time."""
         for parameter in parameters:
             if parameter.name == "rate":
                 try:
@@ -144,7 +146,7 @@ class PhysicsNode(Node):
     # Changes of the scene
 
     def _publish_changes(self) -> None:
-        """Publishes all changes since the last call: resets, robots that came or went, the scene."""
+        """Publishes all changes since the last call: resets, added and removed robots, the scene."""
         simulator = self.simulator
         world, revision = simulator.world, simulator.scene.revision
         if self._published != (world, revision):
@@ -155,7 +157,7 @@ class PhysicsNode(Node):
             self._begin_epoch()
 
     def _publish_scene(self, world: PhysicsWorld | None, *, new: bool) -> None:
-        """Makes the topics of new robots, removes those of robots that are gone, and publishes the scene."""
+        """Creates the topics of added robots, destroys those of removed robots, and publishes the scene."""
         if new:
             self._ticks.discard_held()
         kept = set() if world is None or new else {robot.name for robot in world.scene.robots}
@@ -172,12 +174,12 @@ class PhysicsNode(Node):
         self._world_topics.publish_scene(world)
         self._objects.publish(world)
         if self._gate is not None:
-            self._gate.discover()  # before the map, which takes a while: nodes that are there settle meanwhile
+            self._gate.discover()  # before the map, which takes a while: discovery continues meanwhile
         if new:
             self._world_topics.publish_map(world)
 
     def _begin_epoch(self) -> None:
-        """Forgets the state of the time before a reset, and announces the reset."""
+        """Discards the state of the previous epoch, and publishes the reset."""
         simulator = self.simulator
         world = simulator.world
         self._pacer.restart()
@@ -200,14 +202,17 @@ class PhysicsNode(Node):
 
     # Time
 
-    def spin(self, *beside: Node) -> int:
+    def spin(self, *others: Node) -> int:
         """Steps the simulation until the context ends, ``duration`` has passed or a client ends it; returns the exit code.
 
         Args:
-            beside: other nodes to spin in the same process.
+            others: other nodes to spin in the same executor.
+
+        Raises:
+            LockstepError: a participant has timed out, and ``on_timeout`` is stop.
         """
         executor = make_executor()
-        for node in (self, *beside):
+        for node in (self, *others):
             executor.add_node(node)
         self._wait_for_subscribers(executor)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -223,17 +228,17 @@ class PhysicsNode(Node):
         while is_running() and not self._done:
             executor.spin_once(timeout_sec=0.5)
             if self._images is not None and not self._images.is_open:
-                self._turn()  # the timer is off, so that renderers have the processor; the timeout may have passed
+                self._iterate()  # the timer is off, which leaves the CPU to renderers; the timeout may have passed
             if self._gate is not None:
                 if self._gate.failure is not None:
                     raise self._gate.failure
                 if self._gate.core.is_open and not self._config.rate:
-                    self._turn()  # a request may have started time
+                    self._iterate()  # a request may have started time
         self._end_last_tick(executor)
         return 0
 
     def _end_last_tick(self, executor: Executor) -> None:
-        """Publishes the last clock; waits until the participants have done the last tick, and until subscribers have acknowledged it."""
+        """Publishes the last /clock; waits until participants have finished the last tick, and subscribers have acknowledged it."""
         self._ticks.update_clock(self._stamp_ns)
         gate = self._gate
         while gate is not None and gate.core.stamp_ns is not None and not gate.may_step():
@@ -247,17 +252,17 @@ class PhysicsNode(Node):
         wait_until_acknowledged(*self.publishers)
 
     def _set_timer(self) -> None:
-        """Sets the period of the loop for the present rate."""
+        """Sets the timer of the loop for the present rate."""
         if self._timer is not None:
             self.destroy_timer(self._timer)
         rate = self._config.rate
         period = min(1.0 / (self._config.clock_hz * rate), 0.01) if rate else 1e-5
         if self._gate is not None and not rate:
-            period = 0.02  # the gate wakes the loop when it opens; more turns would take the processor from the participants
-        self._timer = self.create_timer(period, self._turn, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            period = 0.02  # the gate wakes the loop when it opens; a shorter period would take CPU time from the participants
+        self._timer = self.create_timer(period, self._iterate, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _turn(self) -> None:
-        """Makes the steps that are due now, as far as the gates allow."""
+    def _iterate(self) -> None:
+        """Executes the steps that are due now, as far as the gates allow."""
         if self._done:
             return
         simulator, now_ns, gate, images = self.simulator, time.monotonic_ns(), self._gate, self._images
@@ -268,65 +273,66 @@ class PhysicsNode(Node):
             for topic in self._stamped.pop_arrived():
                 gate.count_command(topic)
         if (gate is None or gate.may_step()) and (images is None or images.may_step()):
-            # Not while a tick waits: a renderer that has the next scene already could not draw it.
+            # Not while a tick waits: a renderer that already has the next scene could not draw the tick.
             self._publish_changes()
             self._apply_scheduled()
-            left = simulator.steps_due(self._pacer.due(now_ns))
-            left = self._pipeline(now_ns, left) if self._config.pipelined else self._make_steps(now_ns, left)
-            if left and simulator.state is SimulationState.PLAYING:
-                self._pacer.return_unused(left)
+            due = simulator.steps_due(self._pacer.due(now_ns))
+            remaining = self._execute_pipelined(now_ns, due) if self._config.pipelined else self._execute_steps(now_ns, due)
+            if remaining and simulator.state is SimulationState.PLAYING:
+                self._pacer.return_unused(remaining)
         if images is not None and self._timer is not None and images.is_open == self._timer.is_canceled():
             (self._timer.reset if images.is_open else self._timer.cancel)()
         self._done = self._done or (self._sim_services is not None and self._sim_services.quit_is_answered)
 
-    def _make_steps(self, now_ns: int, left: int) -> int:
-        """Makes steps and publishes what is due at them, until a gate closes; returns how many of ``left`` are left."""
-        while left and not self._done:
+    def _execute_steps(self, now_ns: int, remaining: int) -> int:
+        """Executes steps and publishes their data, until a gate closes; returns the number of steps that remain."""
+        while remaining and not self._done:
             self._latch_commands()
             self._step(now_ns)
             world = self.simulator.world
             assert world is not None
             self._ticks.publish(world)
             self._end_step(world.stamp_ns)
-            left -= 1
+            remaining -= 1
             if (self._gate is not None and not self._gate.core.is_open) or (
                 self._images is not None and not self._images.is_open
             ):
                 break
             if self._apply_scheduled():
                 break
-        return left
+        return remaining
 
-    def _pipeline(self, now_ns: int, left: int) -> int:
-        """Publishes the tick that was made while the participants did the one before, and makes the next one while they do this one.
+    def _execute_pipelined(self, now_ns: int, remaining: int) -> int:
+        """Publishes the held tick and executes the next one, while participants process the published one.
 
-        The commands that answer a tick are applied not in the next tick, which is made already, but in the one after it.
+        Commands that answer a tick are therefore applied not in the next tick, which was executed already, but in the one after it. Returns
+        the number of steps that remain.
         """
         gate, world = self._gate, self.simulator.world
-        assert gate is not None, "the settings allow a pipeline in lockstep alone"
+        assert gate is not None, "the settings allow pipelining only in lockstep"
         while world is not None and not self._done:
             if self._ticks.holds_tick:
                 if not gate.core.is_open:
                     break
-                # Before it is published: answers to it are for a later tick.
+                # Before the tick is published: answers to it are for a later tick.
                 self._latch_commands()
                 self._ticks.release(world)
                 self._end_step(world.stamp_ns)
-            if not left or self._done:
+            if not remaining or self._done:
                 break
-            while left and not self._ticks.holds_tick:
+            while remaining and not self._ticks.holds_tick:
                 self._step(now_ns)
                 self._ticks.hold(world)
-                left -= 1
-        return left
+                remaining -= 1
+        return remaining
 
     def _on_gate_open(self) -> None:
-        """Makes the next tick now, without waiting for the timer."""
+        """Executes the next tick now, without waiting for the timer."""
         if self._timer is not None and not self._done:
-            self._turn()
+            self._iterate()
 
     def _on_command_received(self, topic: str) -> None:
-        """Tells the lockstep gate that a command arrived: the tick may have waited for it."""
+        """Reports the arrival of a command to the lockstep gate, which may wait for it."""
         if self._gate is not None:
             self._gate.receive_command(topic)
 
@@ -335,18 +341,18 @@ class PhysicsNode(Node):
         return (*self._robots.values(), self._objects)
 
     def _is_command(self, topic: str) -> bool:
-        return any(topic in one.command_topics for one in self._receivers)
+        return any(topic in receiver.command_topics for receiver in self._receivers)
 
     def _apply_scheduled(self) -> bool:
-        """Applies the inputs scheduled for the next step. In lockstep it is called once a tick is done: before, some may not have arrived.
+        """Applies the inputs scheduled for the next step. In lockstep it is called once a tick is done: only then have all arrived.
 
         Returns:
-            Whether there was a request among them: it may have stopped time or unloaded the world, so that no more steps are due.
+            Whether any of them was a request: it may have stopped time or unloaded the world, so that no more steps are due.
         """
         requested = False
         while scheduled := self._journal.pop_due():
             for name, message in scheduled:
-                receiver = next((one for one in self._receivers if name in one.command_topics), None)
+                receiver = next((candidate for candidate in self._receivers if name in candidate.command_topics), None)
                 try:
                     if receiver is not None:
                         receiver.receive_command(name, message)
@@ -364,9 +370,9 @@ class PhysicsNode(Node):
         self._objects.latch_commands()
 
     def _step(self, now_ns: int) -> None:
-        """Makes one step."""
+        """Executes one step."""
         world = self.simulator.world
-        assert world is not None, "steps are due in a world alone"
+        assert world is not None, "steps are due only with a world"
         self._stats.begin_step(now_ns, world.stamp_ns)
         for robot in self._robots.values():
             robot.apply_commands(world, self._journal)
@@ -384,20 +390,20 @@ class PhysicsNode(Node):
         return 0 if world is None else world.stamp_ns
 
     def _wait_for_subscribers(self, executor: Executor) -> None:
-        """Holds time until the nodes of ``wait_for`` are matched, so that none misses the start."""
+        """Waits until the nodes of ``wait_for`` are matched, so that none misses the start."""
         subscribers, cameras = self._config.wanted_subscribers(), self._world_topics.cameras
         images = [names.camera_topics(camera.name)[output] for camera in cameras for output in camera.outputs]
         subscribers.update(dict.fromkeys(images, subscribers.pop("cameras", 0)))
         page = subscribers.pop("page", 0)
         subscribers.update(dict.fromkeys((robot.truth_topic for robot in self._robots.values()), subscribers.pop("robots", 0)))
         count = subscribers.pop("commands", 0)
-        others: dict[str, Callable[[], bool]] = {
+        conditions: dict[str, Callable[[], bool]] = {
             f"publishers of {robot.robot.name}'s cmd_vel ({count})": partial(robot.has_commanders, count)
             for robot in self._robots.values()
         }
         if page:
-            others["the live page"] = lambda: note_of_job(PAGE) is not None
-        wait_for_peers(self, executor, subscribers, others, *(() if self._gate is None else (self._gate.discover,)))
+            conditions["the live page"] = lambda: note_of_job(PAGE) is not None
+        wait_for_peers(self, executor, subscribers, conditions, *(() if self._gate is None else (self._gate.discover,)))
 
     def _report(self) -> None:
         self._stats.publish(self._stamp_ns, self._config.rate, self._robots.values())

@@ -1,4 +1,4 @@
-"""The statistics of the physics node: published once a second, and summarised at the end."""
+"""Statistics of the physics node: published once a second, and summarised at the end."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gibson_sim.types import NS_PER_S, CameraSpec
 
 
 class PhysicsStats:
-    """Measures the real-time factor, and reports it with the counts of the node's parts.
+    """Measures the real-time factor, and reports it with the counters of the node.
 
     Publishes:
         real_time_factor (std_msgs/Float64), /diagnostics (diagnostic_msgs/DiagnosticArray).
@@ -39,26 +39,26 @@ class PhysicsStats:
         self._first_step: tuple[int, int] | None = None
         self._last_step, self._last_report = (0, 0), (0, 0)
         self._earlier_ns = 0
-        """Simulation time of the epochs before this one: a reset may begin it at 0 again."""
+        """Total simulation time of the earlier epochs whose time a reset set back, ns."""
         self._factor_pub = node.create_publisher(Float64, names.REAL_TIME_FACTOR, qos.STATE)
         self._diagnostics_pub = node.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
 
     def begin_step(self, now_ns: int, stamp_ns: int) -> None:
-        """Notes the start of a step, at ``now_ns`` of a steady clock, in a world at ``stamp_ns``."""
+        """Records the start of a step at ``now_ns``, monotonic clock, in a world at ``stamp_ns``."""
         self._first_step = self._first_step or (now_ns, stamp_ns)
         if stamp_ns < self._last_step[1]:  # time was reset
             self._earlier_ns += self._last_step[1] - stamp_ns
 
     def end_step(self, stamp_ns: int) -> None:
-        """Notes that a step is made and published."""
+        """Records that a step was executed and published."""
         self._last_step = (time.monotonic_ns(), stamp_ns)
 
     def restart(self, stamp_ns: int) -> None:
-        """Restarts the real-time factor at ``stamp_ns``, when time has jumped."""
+        """Restarts the measurement of the real-time factor at ``stamp_ns``, after time has jumped."""
         self._last_report = (time.monotonic_ns(), stamp_ns)
 
     def publish(self, stamp_ns: int, rate: float, robots: Iterable[RobotInterface]) -> None:
-        """Publishes the real-time factor since the last report, whether it keeps ``rate``, and all counts."""
+        """Publishes the real-time factor since the last report, whether it reaches ``rate``, and all counters."""
         wall_ns, robots = time.monotonic_ns(), tuple(robots)
         factor = (stamp_ns - self._last_report[1]) / max(1, wall_ns - self._last_report[0])
         self._last_report = (wall_ns, stamp_ns)
@@ -82,9 +82,9 @@ class PhysicsStats:
             values["lockstep_waits_for"] = ", ".join(self._gate.core.waits_for) or "none"
             values["lockstep_timeouts"] = self._gate.timeouts
         touches = {robot.robot.name: self._touched(robot.robot.name) for robot in robots}
-        for name, things in touches.items():
-            values[f"{name}_touches"] = ", ".join(things) or "nothing"
-        self._note(state, factor, stamp_ns / NS_PER_S, touches)
+        for name, bodies in touches.items():
+            values[f"{name}_touches"] = ", ".join(bodies) or "nothing"
+        self._report_to_launcher(state, factor, stamp_ns / NS_PER_S, touches)
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if behind else DiagnosticStatus.OK,
             name="gibson_sim: physics",
@@ -95,19 +95,19 @@ class PhysicsStats:
         self._diagnostics_pub.publish(DiagnosticArray(header=conversions.header_to_msg(stamp_ns, ""), status=[status]))
 
     def _touched(self, robot: str) -> tuple[str, ...]:
-        """Returns what a robot touches, the floor apart; nothing if it is not in the world."""
+        """Returns the names of the bodies that a robot touches, except the floor; empty if it is not in the world."""
         world = self._simulator.world
         return () if world is None or robot not in world.names else world.touching(robot)
 
-    def _note(self, state: str, factor: float, time_s: float, touches: dict[str, tuple[str, ...]]) -> None:
-        """Tells the launcher of this process how the simulation goes."""
+    def _report_to_launcher(self, state: str, factor: float, time_s: float, touches: dict[str, tuple[str, ...]]) -> None:
+        """Reports the status of the simulation to the launcher of this process."""
         core = None if self._gate is None else self._gate.core
         late = ", ".join(core.waits_for) if core is not None and core.waited_ns(time.monotonic_ns()) > NS_PER_S else ""
         values = {"state": state, "real_time_factor": factor, "simulation_time_s": time_s, "touches": touches, "waits_for": late}
         note_in_job(STATUS.format("physics"), json.dumps(values))
 
     def summary(self, robots: Iterable[RobotInterface]) -> dict[str, Any]:
-        """Returns the measurements since the first step."""
+        """Returns the statistics since the first step."""
         first = self._first_step or self._last_step
         wall_s = (self._last_step[0] - first[0]) / NS_PER_S
         sim_s = (self._last_step[1] + self._earlier_ns - first[1]) / NS_PER_S
@@ -129,11 +129,13 @@ class PhysicsStats:
 def loaded_note(scene: SceneSpec, cameras: Iterable[CameraSpec]) -> str:
     """Returns the text of the note ``LOADED``, see ``gibson_sim.processes.job_folder``."""
     robots = [{"name": robot.name, "model": robot.urdf.stem, "drives": robot.drive is not None} for robot in scene.robots]
-    drawn = [{"name": c.name, "outputs": c.outputs, "width": c.width, "height": c.height, "rate_hz": c.rate_hz} for c in cameras]
-    return json.dumps({"scene": scene.name, "robots": robots, "cameras": drawn})
+    camera_values = [
+        {"name": c.name, "outputs": c.outputs, "width": c.width, "height": c.height, "rate_hz": c.rate_hz} for c in cameras
+    ]
+    return json.dumps({"scene": scene.name, "robots": robots, "cameras": camera_values})
 
 
 def _commands(robots: Iterable[RobotInterface]) -> dict[str, int]:
-    """Returns how many commands the robots received, and how many of them were refused."""
+    """Returns the number of commands that the robots received, and of those that were refused."""
     counts = [(robot.command_count, robot.refused_commands) for robot in robots]
-    return {"commands": sum(seen for seen, _ in counts), "refused_commands": sum(refused for _, refused in counts)}
+    return {"commands": sum(count for count, _ in counts), "refused_commands": sum(refused for _, refused in counts)}

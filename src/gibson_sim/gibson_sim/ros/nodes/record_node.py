@@ -1,4 +1,4 @@
-"""The record node: writes topics to a bag, byte for byte as they arrive, at simulation time."""
+"""The record node: writes serialized messages to a bag unchanged, with simulation time."""
 
 from __future__ import annotations
 
@@ -44,33 +44,33 @@ except ImportError:
     IsPaused = None
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
-TURN_S = 0.01
-"""Period of reading the subscriptions, s. The middleware stamps the messages, so it affects no time in the bag."""
-QUIET_S, MOST_DRAIN_S = 0.3, 3.0
-"""At the end: wall time without a message sent before that ends the recording, and greatest wall time to wait for it, s."""
+PERIOD_S = 0.01
+"""Period at which the subscriptions are read, s. The middleware stamps the messages, so it does not affect the times in the bag."""
+QUIET_S, MAX_DRAIN_S = 0.3, 3.0
+"""Time without a message sent before the end after which a recording ends, and timeout for that, s of wall time."""
 TIME_KNOWN_S = 0.5
-"""Wall time after the discovery of a publisher of /clock after which it is known, too, whether time runs and whether there is lockstep, s."""
+"""Time after the discovery of a publisher of /clock after which it is known whether time runs and whether lockstep is on, s of wall time."""
 ALONE_S = 3.0
-"""Wall time without a publisher of /clock after which the recorder counts as having been there before the simulation, s."""
+"""Time without a publisher of /clock after which the recorder counts as started before the simulation, s of wall time."""
 UNMATCHED_S = 5.0
-"""Wall time after which a publisher that is not matched is reported, s."""
+"""Time after which an unmatched publisher is reported, s of wall time."""
 ENDED_EARLY = 5
-"""Exit code if the disk was full: the bag is readable. For unusable settings it is 1, as with every node."""
+"""Exit code if the disk was full; the bag is readable. Invalid settings give 1, as in every node."""
 
 
 class RecordNode(Node):
-    """Subscribes to topics as they appear and writes their messages; ends cleanly, bag intact, when the disk is nearly full.
+    """Subscribes to topics as they appear and writes their messages; ends cleanly, with an intact bag, when the disk is nearly full.
 
     Messages are written in the order in which they were sent. The time of each message in the bag is the newest /clock before it, as with
-    `ros2 bag record --use-sim-time`; nothing is written before the first /clock, except latched messages, which get its time. At the end
-    it writes everything that was sent before, then closes the bag.
+    `ros2 bag record --use-sim-time`; before the first /clock only latched messages are written, with its time. At the end, all messages sent
+    before are written, then the bag is closed.
 
-    With ``record_images`` compressed, images are compressed as image_transport does it, and recorded on its topics: raw ones on
+    With ``record_images`` compressed, images are compressed as image_transport does it, and recorded on its topics: raw images on
     ``<camera>/image_raw`` as ``<camera>/image_raw/compressed``.
 
-    It takes part in lockstep: time does not go on with new images before it has written those of the tick before, however slow the disk
-    is. If the simulation is there before it, the bag begins with a /clock: if time runs, with the first one after all topics are
-    discovered; if time stands still, with the next one. See ``StartGate``.
+    In lockstep, time waits at ticks with images until the node has written the images of the previous tick, however slow the disk is. If the
+    simulation was started first, the bag begins with a /clock: if time runs, the first one after all topics are discovered; if time
+    stands still, the next one. See ``StartGate``.
 
     Parameters: the fields of ``gibson_sim.client_config.RecordConfig``.
 
@@ -81,7 +81,7 @@ class RecordNode(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Makes the bag. ``kwargs`` go to ``rclpy.node.Node``.
+        """Creates the bag. ``kwargs`` go to ``rclpy.node.Node``.
 
         Raises:
             RecordError: the folder cannot be used.
@@ -95,33 +95,33 @@ class RecordNode(Node):
             with held_back():
                 recording = self._recording = Recording(config)
             self._begin()
-        except BaseException:  # an interrupt, too, leaves a whole bag
+        except BaseException:  # closes the bag after an interrupt, too
             if recording is not None:
                 recording.close()
             raise
 
     def _begin(self) -> None:
-        """Subscribes to what is there."""
+        """Creates services and timers, and subscribes to the topics that exist."""
         config = self._config
         self._seen: set[str] = set()
-        """Topics that were subscribed to, or refused."""
+        """Topics with a subscription, and refused ones."""
         self._topics: set[str] = set()
-        """All topics that have existed at any time."""
+        """All topics that have been discovered."""
         self._unmatched: dict[str, float] = {}
-        """Topic with unmatched publishers -> since when (monotonic clock, s); -inf = it was reported."""
+        """Topic with unmatched publishers -> monotonic time since which it has some, s; -inf = it was reported."""
         self._lockstep: LockstepParticipant | None = None
         self._latched: set[str] = set()
         self._compressor = ImageCompressor() if config.record_images == "compressed" else None
         self._compressed_profiles: dict[str, TopicQos] = {}
-        """Raw image topic whose messages are compressed -> its quality of service."""
+        """Raw image topic whose messages are compressed -> QoS of the recorded topic."""
         self._recorded_as: dict[str, str] = {}
         """Raw image topic -> topic in the bag."""
         self._streams: dict[str, ImageStream] = {}
-        """Image topic -> what the scene's cameras publish on it."""
+        """Image topic -> image stream that a camera of the scene publishes on it."""
         self._images: set[str] | None = set()
-        """Recorded topics of raw images; None = their size was announced."""
+        """Recorded topics of raw images; None = the estimate of their size was logged."""
         self._start_gate = StartGate(self._latched.__contains__)
-        # Steady clock, seconds.
+        # Monotonic clock, s.
         self._started, self._changed, self._time_known = time.monotonic(), 0.0, math.inf
         self._scene_topic = self.resolve_topic_name(names.SCENE)
         self._subscribed = RawSubscriptions(self)
@@ -140,9 +140,9 @@ class RecordNode(Node):
         self._warn_of_unmatched(unmatched)
         topics = {topic for topic, _ in self.get_topic_names_and_types()}
         self._topics |= topics
-        found = {topic for topic in topics if topic not in self._seen and self._is_requested(topic)}
+        new = {topic for topic in topics if topic not in self._seen and self._is_requested(topic)}
         last = (f"/{names.SCENE_STATE}", f"/{names.GROUND_TRUTH}")  # the physics node waits for these: see ``PhysicsConfig``
-        for topic in sorted(found, key=lambda t: (t.endswith(last), t)):
+        for topic in sorted(new, key=lambda t: (t.endswith(last), t)):
             publishers = self.get_publishers_info_by_topic(topic)
             if topic == names.CLOCK:
                 self._seen.add(topic)
@@ -153,12 +153,12 @@ class RecordNode(Node):
         if unmatched or len(self._seen) > known:
             self._changed = time.monotonic()
         elif self._images and self._streams:
-            self._announce_size(self._images)
+            self._log_size(self._images)
         if self._lockstep is None:
             self._choose_start()
 
     def _choose_start(self) -> None:
-        """Chooses where the bag begins, and joins if the publisher of /clock is in lockstep: if it subscribes to tick_done, as recorders may, too."""
+        """Chooses the start of the bag, and joins lockstep if the publisher of /clock subscribes to ``tick_done``."""
         assert self._subscribed is not None
         now, simulations, gate = time.monotonic(), _nodes(self.get_publishers_info_by_topic(names.CLOCK)), self._start_gate
         if simulations:
@@ -171,12 +171,12 @@ class RecordNode(Node):
             gate.open()
             self._join()
         elif known_s > TIME_KNOWN_S and not gate.is_late:
-            # Time stands still. An image of the present tick may be sent once more, without the rest of the tick.
+            # Time stands still. An image of the present tick may be published again, without the other messages of the tick.
             gate.open_at_next_clock()
             self._join()
         elif known_s > DISCOVERY_TIMEOUT_S or now - max(self._changed, self._time_known) > SETTLED_S:
             self._write_received(flush=True)
-            self._subscribed.forget_losses()
+            self._subscribed.reset_losses()
             gate.open_at_next_clock()
             self.get_logger().info(f"time is running already: the bag begins with the next /clock, with {len(self._seen)} topics")
             self._join()
@@ -188,32 +188,32 @@ class RecordNode(Node):
         self._lockstep = LockstepParticipant(self, after=CAMERAS, passive=True)
 
     def _on_state(self, msg: SceneState) -> None:
-        """Writes the messages before this tick; those of the tick are recorded while its images are drawn."""
+        """Writes the messages before this tick; the messages of the tick are written while its images are rendered."""
         if msg.due_cameras and self._lockstep is not None:
             self._write_received()
             self._lockstep.tick_done(msg.header.stamp)
 
     def _warn_of_unmatched(self, unmatched: dict[str, tuple[int, int]]) -> None:
-        """Warns once of publishers that stay unmatched: later ones may offer less than the subscription requests."""
+        """Warns once of publishers that stay unmatched: later ones may offer a weaker QoS than the subscription requests."""
         now = time.monotonic()
         self._unmatched = {topic: self._unmatched.get(topic, now) for topic in unmatched}
         for topic, since in self._unmatched.items():
             if UNMATCHED_S < now - since < math.inf:
                 self._unmatched[topic] = -math.inf
-                matched, there = unmatched[topic]
+                matched, discovered = unmatched[topic]
                 self.get_logger().warning(
-                    f"{topic}: {matched} of {there} publishers are recorded; the others have another message type, or offer less than the "
-                    "first ones did (best effort, not latched)"
+                    f"{topic}: {matched} of {discovered} publishers are recorded; the others have another message type, or a weaker QoS than "
+                    "the first ones (best effort, not latched)"
                 )
 
     def _is_requested(self, topic: str) -> bool:
-        """Returns whether to record a topic; of all topics, derived and hidden ones are omitted, the latter as by rosbag2."""
+        """Returns whether to record a topic: a requested one, or if none is requested, any but derived topics and, as in rosbag2, hidden ones."""
         if self._requested:
             return topic in self._requested
         return not (names.is_derived(topic) or names.is_hidden(topic))
 
-    def _announce_size(self, topics: set[str]) -> None:
-        """Logs once what the images take, if their cameras are known: as soon as no more topics appear."""
+    def _log_size(self, topics: set[str]) -> None:
+        """Logs once the disk space that the images will take, if their cameras are known; called when no more topics appear."""
         self._images = None
         streams = [self._streams[topic] for topic in topics if topic in self._streams]
         if streams:
@@ -221,16 +221,16 @@ class RecordNode(Node):
             form = cast(ImageForm, "raw" if self._config.record_images == "none" else self._config.record_images)
             self.get_logger().info(size_line(streams, form, max(0, free), self._config.compression))
 
-    def _note_scene(self, data: bytes) -> None:
-        """Notes the images that the cameras of a scene publish."""
+    def _read_streams(self, data: bytes) -> None:
+        """Reads the image streams of the cameras from a serialized scene."""
         for camera in deserialize_message(data, Scene).cameras:
             topics = names.camera_topics(camera.name)
-            for output in (name for name in camera.outputs if name in topics):  # others say how holes are filled
+            for output in (name for name in camera.outputs if name in topics):  # other entries set the hole filling
                 topic = self.resolve_topic_name(topics[output])
                 self._streams[topic] = ImageStream(output, camera.width, camera.height, camera.rate)
 
     def _record(self, topic: str, publishers: list[Any]) -> None:
-        """Subscribes to one topic, as reliable and as latched as its publishers allow."""
+        """Subscribes to one topic with the strictest QoS that its publishers offer."""
         assert self._subscribed is not None
         type_name = publishers[0].topic_type
         if type_name in IMAGE_TYPES:
@@ -252,7 +252,7 @@ class RecordNode(Node):
             self.get_logger().warning(f"{topic} is not recorded: {error}")
 
     def _is_compressed_here(self, topic: str, type_name: str) -> bool:
-        """Returns whether the images of a topic are to be compressed; not if the compressed ones of their publisher are recorded, too."""
+        """Returns whether this node compresses the images of a topic; not if compressed images from their publisher are recorded as well."""
         if self._compressor is None or type_name not in IMAGE_TYPES or type_name == COMPRESSED:
             return False
         if any(topic + suffix in self._requested for suffix in IMAGE_SUFFIXES):
@@ -261,24 +261,24 @@ class RecordNode(Node):
         return True
 
     def _write_received(self, *, flush: bool = False) -> None:
-        """Writes the messages that arrived; with ``flush``, also those that are held back for their order."""
+        """Writes the messages that arrived; with ``flush``, also those that are held back for sorting."""
         assert self._subscribed is not None
         self._write(self._subscribed.receive(flush=flush))
 
     def _flush(self) -> None:
-        """Writes all messages that arrived; the bag begins here if it has not begun."""
+        """Writes all messages that arrived; starts the bag now if it has not started."""
         self._write_received(flush=True)
         self._start_gate.open()
         self._write([])
 
     def _write(self, messages: list[ReceivedMessage]) -> None:
-        """Writes messages, which are in the order in which they were sent."""
+        """Writes messages, which must be in the order in which they were sent."""
         for topic, data, received_on in self._compressed(self._start_gate.release((m.topic, m.data) for m in messages)):
             if topic == names.CLOCK:
                 self._recording.receive_clock(data)
                 continue
             if topic == self._scene_topic and not self._streams:
-                self._note_scene(data)
+                self._read_streams(data)
             if received_on in self._compressed_profiles and topic not in self._recorded_as.values():
                 self._recorded_as[received_on] = topic
                 type_name = COMPRESSED if topic != received_on else IMAGE
@@ -286,7 +286,7 @@ class RecordNode(Node):
             self._recording.receive(topic, data)
 
     def _compressed(self, messages: Iterable[tuple[str, bytes]]) -> Iterable[tuple[str, bytes, str]]:
-        """Returns topic in the bag, bytes and original topic of each message."""
+        """Returns the topic in the bag, the bytes and the original topic of each message."""
         if self._compressor is None:
             return ((topic, data, topic) for topic, data in messages)
         return self._compressor.compress(messages)
@@ -297,9 +297,9 @@ class RecordNode(Node):
         executor.add_node(self)
         while is_running() and not self._recording.done:
             self._simulation.is_met()
-            began = time.monotonic()
+            start = time.monotonic()
             self._write_received()
-            executor.spin_once(timeout_sec=max(0.0, TURN_S - (time.monotonic() - began)))
+            executor.spin_once(timeout_sec=max(0.0, PERIOD_S - (time.monotonic() - start)))
         executor.remove_node(self)
         if self._lockstep is not None:
             self._lockstep.leave()
@@ -308,16 +308,16 @@ class RecordNode(Node):
         return ENDED_EARLY if self._recording.error else 0
 
     def _drain(self) -> None:
-        """Writes the messages that were sent before now and are still on their way."""
+        """Writes the messages that were sent before now and have not arrived yet."""
         assert self._subscribed is not None
-        end_ns, began = time.time_ns(), time.monotonic()
-        quiet = began
-        while (now := time.monotonic()) - quiet < QUIET_S and now - began < MOST_DRAIN_S:
+        end_ns, start = time.time_ns(), time.monotonic()
+        last_message = start
+        while (now := time.monotonic()) - last_message < QUIET_S and now - start < MAX_DRAIN_S:
             messages = self._subscribed.receive()
             self._write(messages)
             if any(message.sent_ns <= end_ns for message in messages):
-                quiet = time.monotonic()
-            time.sleep(TURN_S)
+                last_message = time.monotonic()
+            time.sleep(PERIOD_S)
         self._flush()
 
     def close(self) -> None:
@@ -335,19 +335,19 @@ class RecordNode(Node):
         subscribed.close()
         write_summary(self._config.summary_path, summary)
         lines = report_lines(summary)
-        if started_by_launcher():  # the launcher's own summary has the numbers
+        if started_by_launcher():  # the summary of the launcher contains the other lines
             lines = [line for line in lines if line.startswith("WARNING")]
         for line in lines:
             sys.stderr.write(f"{line}\n")
 
 
 def offer_services(node: Node, recording: Recording, flush: Callable[[], None]) -> None:
-    """Offers ~/pause, ~/resume, ~/is_paused and ~/split_bagfile, or ~/snapshot instead of the last; warns if rosbag2_interfaces is missing.
+    """Creates the services ~/pause, ~/resume, ~/is_paused and either ~/split_bagfile or ~/snapshot; warns if rosbag2_interfaces is missing.
 
     Args:
-        node: of the services.
-        recording: that they control.
-        flush: writes the messages that arrived before the request; is called first.
+        node: node of the services.
+        recording: recording that they control.
+        flush: writes the messages that arrived before a request; called first.
     """
     if IsPaused is None:
         node.get_logger().warning(

@@ -1,4 +1,4 @@
-"""The render node: draws the cameras of a scene from the states that the physics node publishes."""
+"""The render node: renders the cameras of a scene from the states that the physics node publishes."""
 
 from __future__ import annotations
 
@@ -38,71 +38,71 @@ from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import CameraSpec, Frame, SceneState as State
 
 _LATE_CHECK_S = 0.25
-"""Wall time between two checks for late subscribers, seconds."""
+"""Period of the checks for late subscribers, s of wall time."""
 _LATE_AFTER_S = 1.0
-"""Wall time without a new state after which the simulation counts as paused, seconds."""
+"""Time without a new state after which the simulation counts as paused, s of wall time."""
 _REVISION_TIMEOUT_S = 2.0
-"""Wall time after which states of another revision than the scene's are logged, s: scene and states arrive on two topics, in any order."""
+"""Time after which states of another revision than the scene's are logged, s of wall time: scene and states may arrive in any order."""
 
 
 class RenderNode(Node):
-    """Draws the newest state at which a camera with subscribers is due, and counts those it had to skip.
+    """Renders the newest state at which a camera with subscribers is due, and counts skipped states.
 
-    Images without subscribers are neither drawn nor encoded. Several render nodes may share the cameras (``cameras``), each under a node
-    name of its own: ``--ros-args -r __node:=render_2``. docs/images.md has more about the topics.
+    Images without subscribers are neither rendered nor encoded. Several render nodes may share the cameras (``cameras``), each with its own
+    node name: ``--ros-args -r __node:=render_2``. docs/images.md describes the topics.
 
     Parameters: the fields of ``gibson_sim.config.RenderConfig``, and ``qos_overrides.<topic>.publisher.*``.
 
     Subscribes:
-        scene (gibson_msgs/Scene, latched): what to draw; another revision updates what is loaded.
+        scene (gibson_msgs/Scene, latched): the scene to render; a new revision updates the loaded scene.
         scene_state (gibson_msgs/SceneState): poses, and the cameras that are due.
 
-    Publishes, for each camera, with the stamp of the state drawn, in the frame ``<camera>_optical_frame``:
+    Publishes, for each camera, with the stamp of the rendered state, in the frame ``<camera>_optical_frame``:
         <camera>/image_raw (sensor_msgs/Image rgb8), <camera>/camera_info (sensor_msgs/CameraInfo), <camera>/image_raw/compressed
         (sensor_msgs/CompressedImage, JPEG or PNG);
         <camera>/depth/image_raw (sensor_msgs/Image 32FC1, metres along the axis, from the centre of a fisheye or equirectangular
         camera, +inf = nothing), <camera>/depth/camera_info, <camera>/depth/image_raw/compressedDepth (sensor_msgs/CompressedImage),
         <camera>/depth/points (sensor_msgs/PointCloud2, organised, NaN = nothing);
         for cameras of ``register_depth``: <camera>/depth_registered/image_raw (32FC1) and camera_info, in the other camera's frame;
-        where the camera has these outputs: <camera>/semantic/image_raw and <camera>/instance/image_raw (16UC1), whose numbers
-        <camera>/semantic/label_info and <camera>/instance/label_info (LabelInfo, latched) name, <camera>/normal/image_raw and
+        if the camera has these outputs: <camera>/semantic/image_raw and <camera>/instance/image_raw (16UC1), with label names in
+        <camera>/semantic/label_info and <camera>/instance/label_info (LabelInfo, latched), <camera>/normal/image_raw and
         <camera>/normal_world/image_raw (32FC3, optical frame and world frame, 0 = nothing), <camera>/position/image_raw (32FC3, world
         frame, metres, NaN = nothing), <camera>/flow/image_raw (32FC2, pixels right and down since the previous image, NaN =
         nothing), <camera>/hole/image_raw (8UC1: 0 = surface, 1 = nothing, 2 = back face, 3 = outside or sky), each with its camera_info.
         run_info (gibson_msgs/RunInfo, latched); tick_done (gibson_msgs/TickDone), for lockstep; with ``digests``: tick_digest
         (gibson_msgs/TickDigest), of images before depth noise.
-        /diagnostics (diagnostic_msgs/DiagnosticArray): images a second, skipped, milliseconds to draw; once a second.
+        /diagnostics (diagnostic_msgs/DiagnosticArray): images per second, skipped images, render time in ms; once a second.
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Opens the device. ``kwargs`` go to ``rclpy.node.Node``.
+        """Checks the EGL device. ``kwargs`` go to ``rclpy.node.Node``.
 
         Raises:
-            GraphicsUnavailableError: there is no usable EGL device.
+            GraphicsUnavailableError: no EGL device is usable.
         """
         super().__init__("render", **kwargs)
         self._renderer: Renderer | None = None
         self._config = config_from_parameters(self, RenderConfig)
-        # Fails now, with a clear message, not when the scene arrives.
+        # Fails now, not when the scene arrives.
         open_context(device_of(self._config), library=self._config.egl_library).close()
         self._scene: DrawnScene | None = None
         self._cameras: dict[int, CameraPublisher] = {}
-        """By index in the scene."""
+        """Index in the scene -> publisher of the camera."""
         self._state_subscription: Any = None
         self._early: SceneState | None = None
         """The newest state that arrived before its scene."""
         self._mismatched_since = 0.0
-        """When states of another revision began to arrive (monotonic clock, s); 0 = the revisions agree."""
+        """Monotonic time at which states of another revision began to arrive, s; 0 = the revisions agree."""
         self._frame_history: FrameHistory | None = None
         self._stats = RenderStats()
         self._lockstep: LockstepParticipant | None = None
         self._failure: ConfigError | None = None
         self._latest: SceneState | None = None
-        """The newest state that can be drawn."""
+        """The newest state that can be rendered."""
         self._latest_since = 0.0
-        """When it arrived (monotonic clock, s)."""
+        """Monotonic time of its arrival, s."""
         self._served: dict[str, frozenset[str]] = {}
-        """By name of a camera: the kinds of messages whose subscribers have received one."""
+        """Camera name -> kinds of messages whose subscribers have received one."""
         self._last_done: tuple[int, int] | None = None
         """Epoch and stamp of the last tick reported as done; None = no state has arrived."""
         self._digests = DigestPublisher(self) if self._config.digests else None
@@ -112,7 +112,7 @@ class RenderNode(Node):
         self.create_timer(_LATE_CHECK_S, self._serve_late_subscribers, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _on_scene(self, msg: Scene) -> None:
-        """Loads the scene, then subscribes to the state: the subscription tells that this node is ready to draw."""
+        """Loads the scene, then subscribes to the state: the subscription shows that this node is ready to render."""
         try:
             scene, warnings = with_local_files(conversions.scene_from_msg(msg), self._config.asset_folders())
             self._load(scene, warnings)
@@ -122,15 +122,15 @@ class RenderNode(Node):
         for camera in self._cameras.values():
             camera.publish_labels(scene, conversions.time_from_msg(msg.header.stamp))
         early = self._early
-        if early is not None and early.revision <= scene.revision:  # a higher one waits for its scene
+        if early is not None and early.revision <= scene.revision:  # a state of a later revision waits for its scene
             self._early = None
             if early.revision == scene.revision:
                 self._process_states([early])
 
     def _load(self, scene: DrawnScene, warnings: Sequence[str]) -> None:
-        """Loads a scene, or its changes, and updates the publishers of the cameras."""
+        """Loads a scene, or the changes of a loaded one, and updates the publishers of the cameras."""
         started = time.monotonic()
-        progress, reloaded = LoadingProgress(self._note_loading, self.get_logger().info), True
+        progress, reloaded = LoadingProgress(self._report_loading, self.get_logger().info), True
         if self._renderer is None:
             self._renderer = open_renderer(scene, self._config, progress)
             self._frame_history = FrameHistory(self._renderer)
@@ -154,27 +154,27 @@ class RenderNode(Node):
             self._lockstep = LockstepParticipant(self, after=CAMERAS)
             self._run_info = publish_run_info(self, "render", self._config, 0, opengl=dict(info))
 
-    def _note_loading(self, what: str) -> None:
-        note_in_job(STATUS.format(self.get_name()), json.dumps({"loading": what}))
+    def _report_loading(self, stage: str) -> None:
+        note_in_job(STATUS.format(self.get_name()), json.dumps({"loading": stage}))
 
     def _warm_up(self, scene: DrawnScene) -> None:
-        """Draws every camera once before time begins: the first image compiles loops and shaders, in seconds at the first start ever."""
+        """Renders every camera once before time starts: the first image compiles loops and shaders, which takes seconds at the very first start."""
         assert self._renderer is not None
-        self._note_loading("the first image")
+        self._report_loading("the first image")
         cameras = [publisher.camera for publisher in self._cameras.values()]
         try:
             self._renderer.render(State.still(scene.revision, scene.links), cameras)
-        except GibsonSimError as error:  # its first subscriber is told, too
+        except GibsonSimError as error:  # logged again when images have subscribers
             self.get_logger().warning(f"the first images cannot be drawn: {error}")
 
     def _update_cameras(self, scene: DrawnScene) -> None:
-        """Makes the publishers of new cameras, keeps those of unchanged ones, and destroys the others."""
+        """Creates the publishers of new cameras, keeps those of unchanged cameras, and destroys the others."""
         by_name = {camera.name: camera for camera in scene.cameras}
         requested, registrations = self._config.wanted_cameras(), self._config.registrations()
         try:
             self._config.check_cameras(tuple(by_name))
         except ConfigError as error:
-            # Robots come and go while the simulation runs; in the first scene it is an error of the user.
+            # Later, a robot with the camera may be spawned; in the first scene, it is a user error.
             if self._state_subscription is None and by_name:
                 self._failure = error
             self.get_logger().warning(str(error))
@@ -184,20 +184,20 @@ class RenderNode(Node):
             if requested and camera.name not in requested:
                 continue
             target = by_name.get(registrations.get(camera.name, ""))
-            found = old.get(camera.name)
-            if found is not None and (found.camera, found.target) == (camera, target):
+            existing = old.get(camera.name)
+            if existing is not None and (existing.camera, existing.target) == (camera, target):
                 self._cameras[index] = old.pop(camera.name)
                 continue
             if not self._can_fill(camera, first=self._state_subscription is None):
                 continue
-            if found is not None:
+            if existing is not None:
                 old.pop(camera.name).close()
             self._cameras[index] = CameraPublisher(self, camera, self._config, target)
         for publisher in old.values():
             publisher.close()
 
     def _can_fill(self, camera: CameraSpec, *, first: bool) -> bool:
-        """Loads what fills the holes of a camera's images; if that fails the camera is left out, and in the first scene it ends the node."""
+        """Loads the hole filling of a camera; returns False if that fails, which ends the node if it happens in the first scene."""
         assert self._renderer is not None
         try:
             self._renderer.prepare([camera])
@@ -208,18 +208,18 @@ class RenderNode(Node):
         return True
 
     def _on_state(self, msg: SceneState) -> None:
-        """Draws the newest waiting state at which a camera with subscribers is due."""
+        """Renders the newest queued state at which a camera with subscribers is due."""
         self._process_states([msg, *pop_queue(self._state_subscription)])
 
     def _process_states(self, states: Sequence[SceneState]) -> None:
-        """Draws one of several states, and reports the newest tick as done."""
+        """Renders the newest suitable state of several, and reports the newest tick as done."""
         assert self._scene is not None
         if self._last_done is None:
             self._last_done = (-1, -1)
-            if is_in_lockstep(self):  # otherwise time goes on meanwhile, and images would be lost
+            if is_in_lockstep(self):  # otherwise time passes meanwhile, and images would be lost
                 wait_for_subscribers(self)
         drawable = [state for state in states if state.revision == self._scene.revision]
-        self._note_mismatched(states, bool(drawable))
+        self._store_mismatched(states, bool(drawable))
         due = {i for state in drawable for i in state.due_cameras if i in self._cameras}
         subscribed = {i: self._cameras[i].subscribed_kinds() for i in due}
         newest = None
@@ -233,15 +233,15 @@ class RenderNode(Node):
         if drawable:
             self._latest, self._latest_since = drawable[-1], time.monotonic()
         drawn = None
-        if newest is not None and _when(newest) != self._last_done:
+        if newest is not None and _tick_key(newest) != self._last_done:
             requested = {i: subscribed[i] for i in newest.due_cameras if i in due}
             drawn = self._draw(newest, requested)
             self._served.update({self._cameras[i].camera.name: kinds for i, kinds in requested.items()})
         tick = next((state for state in reversed(drawable) if state.due_cameras), None)
         if tick is not None and self._lockstep is not None:
-            self._last_done = _when(tick)
+            self._last_done = _tick_key(tick)
             self._lockstep.tick_done(tick.header.stamp)
-        if drawn is not None:  # after the report, so that time need not wait for the statistics
+        if drawn is not None:  # after the report, so that time does not wait for the statistics
             self._stats.add(*drawn)
         if self._stats.report_is_late:
             self._publish_diagnostics()
@@ -249,8 +249,8 @@ class RenderNode(Node):
     def _serve_late_subscribers(self) -> None:
         """Renders the newest state for late subscribers while the simulation is paused.
 
-        Cameras with flow or a shutter are left out: their images would depend on the time of the subscription. In lockstep only due cameras are
-        rendered, and none in runs with digests, so that published images depend on simulation time alone.
+        Cameras with flow or a shutter are skipped: their images would depend on the time of the subscription. In lockstep only due cameras
+        are rendered, and none in runs with digests, so that published images depend on simulation time only.
         """
         state = self._latest
         if state is None or self._scene is None or state.revision != self._scene.revision or self._digests is not None:
@@ -270,8 +270,8 @@ class RenderNode(Node):
         if drawn is not None:
             self._stats.add(*drawn)
 
-    def _note_mismatched(self, states: Sequence[SceneState], has_drawable: bool) -> None:
-        """Stores the newest state whose scene has not arrived; warns if the scene stays away."""
+    def _store_mismatched(self, states: Sequence[SceneState], has_drawable: bool) -> None:
+        """Stores the newest state whose scene has not arrived; warns if the scene does not arrive in time."""
         assert self._scene is not None
         mismatched = [state for state in states if state.revision != self._scene.revision]
         early = next((state for state in reversed(mismatched) if state.due_cameras), None)
@@ -290,7 +290,15 @@ class RenderNode(Node):
     def _draw(
         self, msg: SceneState, subscribed: dict[int, frozenset[str]]
     ) -> tuple[int, int, int, list[Frame], list[str]] | None:
-        """Draws and publishes the subscribed kinds of messages of due cameras; returns arguments of ``RenderStats.add``, None = no images."""
+        """Renders and publishes the subscribed kinds of messages of cameras.
+
+        Args:
+            msg: state to render.
+            subscribed: index of each camera -> kinds of messages to publish.
+
+        Returns:
+            The arguments of ``RenderStats.add``; None = no images.
+        """
         assert self._scene is not None and self._frame_history is not None
         stamp_ns, started = conversions.time_from_msg(msg.header.stamp), time.monotonic_ns()
         specs = {i: spec for i, kinds in subscribed.items() if (spec := self._cameras[i].to_draw(kinds)) is not None}
@@ -317,14 +325,14 @@ class RenderNode(Node):
 
     def _publish(self, frames: dict[int, Frame], subscribed: dict[int, frozenset[str]], state: State) -> list[str]:
         """Publishes images; returns ``<camera>/<kind>`` of each message."""
-        done: list[str] = []
+        published: list[str] = []
         if self._digests is not None:
             self._add_digests(frames.values())
         for i, frame in frames.items():
             publisher = self._cameras[i]
             T_target_camera = self._registration(publisher, state, frame) if REGISTERED in subscribed[i] else None
-            done += [f"{publisher.camera.name}/{kind}" for kind in publisher.publish(frame, subscribed[i], T_target_camera)]
-        return done
+            published += [f"{publisher.camera.name}/{kind}" for kind in publisher.publish(frame, subscribed[i], T_target_camera)]
+        return published
 
     def _add_digests(self, frames: Iterable[Frame]) -> None:
         assert self._digests is not None
@@ -334,17 +342,17 @@ class RenderNode(Node):
                 self._digests.add(topics[output], getattr(frame, output))
 
     def _registration(self, publisher: CameraPublisher, state: State, frame: Frame) -> Mat4 | None:
-        """Returns T_target_camera of a frame's camera and the camera that its depth is registered to; None = none."""
+        """Returns T_target_camera from a frame's camera to the target of its depth registration; None = no registration."""
         if publisher.target is None or self._renderer is None:
             return None
         T: Mat4 = invert(self._renderer.camera_matrix(state, publisher.target)) @ frame.T_world_camera
         return T
 
     def spin(self) -> int:
-        """Draws until the context ends; returns the exit code.
+        """Renders until the context ends; returns the exit code.
 
         Raises:
-            ConfigError: settings name a camera that the first scene lacks.
+            ConfigError: the settings name a camera that the first scene does not have, or the hole filling of a camera cannot be loaded.
         """
         spin_while(self, lambda: self._failure is None)
         if self._failure is not None:
@@ -353,7 +361,7 @@ class RenderNode(Node):
         return 0
 
     def _end_last_tick(self) -> None:
-        """Draws the states that were waiting when the node was asked to end; waits until subscribers have acknowledged the images."""
+        """Renders the states that were queued when the end was requested; waits until subscribers have acknowledged the images."""
         if self._state_subscription is not None and (states := list(pop_queue(self._state_subscription))):
             self._process_states(states)
         wait_until_acknowledged(*(publisher for camera in self._cameras.values() for publisher in camera.publishers))
@@ -388,14 +396,14 @@ class RenderNode(Node):
 
 
 def pop_queue(subscription: Any) -> Iterator[Any]:
-    """Yields all messages in a subscription's queue; the executor would process them one by one, each with its drawing."""
+    """Yields all messages in a subscription's queue; the executor would render them one by one."""
     with subscription.handle:
         while (message := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
             yield message[0]
 
 
-def _when(state: SceneState) -> tuple[int, int]:
-    """Returns epoch and stamp, by which a state that is published again in lockstep is recognised."""
+def _tick_key(state: SceneState) -> tuple[int, int]:
+    """Returns the epoch and stamp (ns) of a state, which identify a state that is republished in lockstep."""
     return state.epoch, conversions.time_from_msg(state.header.stamp)
 
 

@@ -1,4 +1,4 @@
-"""Statistics of a render node: images drawn, messages published, and the wall time that takes; the progress of loading."""
+"""Statistics of a render node: rendered images, published messages and their wall times; progress of loading."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any
 from gibson_sim.sensors.schedule import images_due
 from gibson_sim.types import NS_PER_S, CameraSpec, Frame
 
-_KEPT = 10_000
-"""Number of the newest times that medians are computed from: it bounds the memory of long runs."""
+_MAX_SAMPLES = 10_000
+"""Maximum number of samples for medians, the newest ones: it bounds the memory of long runs."""
 
 _LATE_NS = 3 * NS_PER_S // 2
-"""Wall time after the last report, which is due once a second, at which the next one is late, ns."""
+"""Time after the last report after which the next one is late, ns of wall time; reports are due once a second."""
 
 
 class RenderStats:
-    """Counts since the start of a render node.
+    """Statistics since the start of a render node.
 
-    Simulation time may jump back, at the start of a new epoch; the interval of the jump counts neither as skipped nor as simulated.
+    Simulation time may jump back at the start of a new epoch; the interval of the jump counts neither as skipped nor as simulated.
     """
 
     def __init__(self) -> None:
@@ -31,14 +31,14 @@ class RenderStats:
         self._outputs: dict[str, int] = {}
         self._messages: dict[str, int] = {}
         self._stamps: dict[str, int] = {}
-        self._draw_ms: deque[float] = deque(maxlen=_KEPT)
-        self._publish_ms: deque[float] = deque(maxlen=_KEPT)
+        self._draw_ms: deque[float] = deque(maxlen=_MAX_SAMPLES)
+        self._publish_ms: deque[float] = deque(maxlen=_MAX_SAMPLES)
         self._first_ns = self._last_ns = 0
         self._simulated_ns = 0
         self._reported = (time.monotonic_ns(), 0, 0)
 
     def count_due(self, camera: CameraSpec, stamp_ns: int, *, subscribed: bool) -> None:
-        """Counts a due image of a camera; images due since the last one count as skipped, unless they had no subscriber."""
+        """Counts a due image of a camera; images that were due since the last one count as skipped, unless they had no subscriber."""
         last = self._stamps.pop(camera.name, None)
         if not subscribed:
             return
@@ -47,7 +47,7 @@ class RenderStats:
         self._stamps[camera.name] = stamp_ns
 
     def add(self, started_ns: int, drawn_ns: int, published_ns: int, frames: list[Frame], messages: Iterable[str]) -> None:
-        """Adds the images drawn at one stamp, the kinds of messages made of them, and the times of that (monotonic clock, ns)."""
+        """Adds the images rendered at one stamp, the kinds of published messages, and the times of both (monotonic clock, ns)."""
         stamp_ns = frames[0].stamp_ns
         if not self._images:
             self._first_ns = published_ns
@@ -67,20 +67,20 @@ class RenderStats:
 
     @property
     def skipped(self) -> int:
-        """Images of all cameras that were due and not drawn."""
+        """Number of images of all cameras that were due and not rendered."""
         return sum(self._skipped.values())
 
     @property
     def report_is_late(self) -> bool:
-        """Whether the timer of the reports has no turn, because there is always a state to draw."""
+        """Whether the timer of the reports does not get to run, since a state to render is always queued."""
         return time.monotonic_ns() - self._reported[0] > _LATE_NS
 
     def since_last_report(self) -> dict[str, float]:
         """Returns rates and counts since the last call."""
         now, total = time.monotonic_ns(), sum(self._images.values())
-        then, images, skipped = self._reported
+        last_ns, images, skipped = self._reported
         self._reported = (now, total, self.skipped)
-        seconds = (now - then) / NS_PER_S
+        seconds = (now - last_ns) / NS_PER_S
         return {
             "images_per_s": (total - images) / seconds,
             "skipped": self.skipped - skipped,
@@ -104,28 +104,28 @@ class RenderStats:
 
 
 class LoadingProgress:
-    """Reports the progress of loading a scene: logs it every two seconds, and notes it for the launcher four times a second.
+    """Reports the progress of loading a scene: logs it every two seconds, and reports it to the launcher four times a second.
 
-    The end of a stage that was logged is logged as well: no log ends at 11 %.
+    The end of a stage is logged if its progress was, so that no log ends at 11 %.
 
     Args:
-        note: receives the stage and its progress, for the launcher.
-        log: receives the same, for people.
-        now_s: monotonic clock, seconds.
+        report: receives the stage and its progress as text, for the launcher.
+        log: receives the same text, for the log.
+        now_s: monotonic clock, s.
     """
 
     def __init__(
-        self, note: Callable[[str], Any], log: Callable[[str], Any], now_s: Callable[[], float] = time.monotonic
+        self, report: Callable[[str], Any], log: Callable[[str], Any], now_s: Callable[[], float] = time.monotonic
     ) -> None:
-        self._note, self._log, self._now_s = note, log, now_s
-        self._logged, self._noted, self._stage = now_s(), -1.0, ""
+        self._report, self._log, self._now_s = report, log, now_s
+        self._logged_s, self._reported_s, self._logged_stage = now_s(), -1.0, ""
 
-    def __call__(self, what: str, part: float) -> None:
+    def __call__(self, stage: str, fraction: float) -> None:
         """Reports a stage and its progress, 0 to 1."""
-        now, text = self._now_s(), f"{what}: {100.0 * part:.0f} %"
-        if now - self._noted >= 0.25 or part >= 1.0:
-            self._noted = now
-            self._note(text)
-        if now - self._logged >= 2.0 or (part >= 1.0 and self._stage == what):
-            self._logged, self._stage = now, what
+        now, text = self._now_s(), f"{stage}: {100.0 * fraction:.0f} %"
+        if now - self._reported_s >= 0.25 or fraction >= 1.0:
+            self._reported_s = now
+            self._report(text)
+        if now - self._logged_s >= 2.0 or (fraction >= 1.0 and self._logged_stage == stage):
+            self._logged_s, self._logged_stage = now, stage
             self._log(text)

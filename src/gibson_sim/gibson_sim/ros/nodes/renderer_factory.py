@@ -1,4 +1,4 @@
-"""Makes a renderer from the settings of a node."""
+"""Creates a renderer from the settings of a node."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from gibson_sim.scenes.spec import DrawnScene
 
 
 def device_of(config: RenderConfig) -> int | str | None:
-    """Returns the requested EGL device, by UUID or by number; None = any that can draw."""
+    """Returns the requested EGL device, by UUID or by number; None = any usable one."""
     return config.egl_uuid or (None if config.egl_device < 0 else config.egl_device)
 
 
 def open_renderer(scene: DrawnScene, config: RenderConfig, progress: Progress | None = None) -> Renderer:
-    """Returns a renderer that has loaded the scene; for errors see ``Renderer``."""
+    """Returns a renderer with the loaded scene, which the caller closes; see ``Renderer`` for errors."""
     cache = None if config.cache == "none" else Path(config.cache) if config.cache else default_folder()
     return Renderer(
         scene,

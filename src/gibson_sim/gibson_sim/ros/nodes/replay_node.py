@@ -1,4 +1,4 @@
-"""The replay node: sends the inputs of a recorded run to a simulation, and verifies that the run is the same."""
+"""The replay node: sends the inputs of a recorded run to a simulation, and verifies that it repeats the run."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.message_types import message_class
 
 LAST_DIGESTS_S = 2.0, 20.0
-"""Wall time that the digests of the last tick may take, s: free-running, where images may be missing, and in lockstep."""
+"""Timeouts for the digests of the last tick, s of wall time: free-running, where images may be missing, and in lockstep."""
 _TICKS_AHEAD = 2
-"""Ticks by which inputs are sent ahead in lockstep: the present one, and the next one in case a reset ends the present one early."""
+"""Number of ticks by which inputs are sent ahead in lockstep: the present one, and the next one in case a reset ends the present one early."""
 _SECONDS_AHEAD = 1
-"""Simulation time by which inputs are sent ahead to a simulation that does not wait, s."""
-_MOST_AT_ONCE = 50
-"""Inputs after which it waits for their acknowledgement: half the queue of the simulation."""
+"""Simulation time by which inputs are sent ahead without lockstep, s."""
+_MAX_UNACKNOWLEDGED = 50
+"""Number of inputs after which the sender waits for their acknowledgement: half the queue of the simulation."""
 _ARRIVAL_S = 5.0
-"""Greatest wall time to wait for an acknowledgement, s."""
+"""Timeout for an acknowledgement, s of wall time."""
 _DEEP = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 _DISCARD = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For images that must be drawn for their digests, and are discarded here."""
+"""Profile of images that are subscribed to only to have them rendered for their digests."""
 _IGNORED, _DRIVER = ("system", "opengl"), ("renderer", "version")
-"""Keys of the environment that are not compared (the second one not as a whole); keys of ``opengl`` that are."""
+"""Keys of the environment that are not compared as a whole, and keys of ``opengl`` that are compared."""
 
 
 class ReplayNode(Node):
     """Sends the inputs in a bag; ends with exit code 0 when the last tick of the recorded run is reached.
 
-    If the bag has the journal ``inputs``, or in lockstep, every input is sent with the step at which it is to be applied. Otherwise commands
-    are published on their topics when simulation time reaches theirs.
+    If the bag has the journal ``inputs``, or in lockstep, every input is sent with the step at which it must be applied. Otherwise commands
+    are published on their topics when simulation time reaches their times.
 
     Parameters: the fields of ``gibson_sim.client_config.ReplayConfig``.
 
@@ -64,7 +64,7 @@ class ReplayNode(Node):
         """Reads the bag. ``kwargs`` go to ``rclpy.node.Node``.
 
         Raises:
-            RecordError: the bag cannot be read, or it has no inputs, or no digests to compare with.
+            RecordError: the bag cannot be read, or has no inputs, or no digests to compare with.
         """
         super().__init__("replay", **kwargs)
         self._config = config = config_from_parameters(self, ReplayConfig)
@@ -87,7 +87,8 @@ class ReplayNode(Node):
         self._now: Tick = (0, 0)
         self._ended_s: float | None = None
         self._sent = 0
-        self._other_surroundings: dict[str, dict[str, list[str]]] = {}
+        self._environment_changes: dict[str, dict[str, list[str]]] = {}
+        """Kind of node -> key of its environment -> recorded and present value, if they differ."""
 
     def _make_sender(self) -> _InputSender | _CommandSender:
         """Returns the sender of the inputs."""
@@ -104,14 +105,14 @@ class ReplayNode(Node):
         executor = make_executor()
         executor.add_node(self)
         self._prepare(executor)
-        while is_running() and not self._is_over():
+        while is_running() and not self._is_finished():
             executor.spin_once(timeout_sec=0.05)
         if self._lockstep is not None and self._ended_s is None:
             self._lockstep.leave()
         return 0
 
     def _prepare(self, executor: Executor) -> None:
-        """Sends the inputs before the first tick, then subscribes to the state, so that time starts: it waits for a subscriber."""
+        """Sends the inputs before the first tick, then subscribes to the state, which lets time start."""
         simulation = WaitCondition.for_simulation(self, names.SCENE_STATE, self._config.timeout)
         while is_running() and not simulation.is_met():
             executor.spin_once(timeout_sec=0.05)
@@ -129,9 +130,9 @@ class ReplayNode(Node):
         if self._config.lockstep:
             self._lockstep = LockstepParticipant(self)
 
-    def _wait(self, executor: Executor, condition: Callable[[], bool], what: str) -> None:
-        """Spins until a condition holds; after the timeout the replay goes on without it, with a warning."""
-        wait = WaitCondition(self, what, condition, timeout_s=self._config.timeout)
+    def _wait(self, executor: Executor, condition: Callable[[], bool], awaited: str) -> None:
+        """Spins until a condition holds; after the timeout the replay continues with a warning."""
+        wait = WaitCondition(self, awaited, condition, timeout_s=self._config.timeout)
         try:
             while is_running() and not wait.is_met():
                 executor.spin_once(timeout_sec=0.05)
@@ -141,7 +142,7 @@ class ReplayNode(Node):
     # Ticks
 
     def _on_state(self, msg: SceneState) -> None:
-        """Sends the inputs that are due. It never reports the last tick as done, so that time stands still after it."""
+        """Sends the inputs that are due. The last tick is not reported as done, so that time stops at it."""
         self._now = msg.epoch, msg.epoch_step
         if self._now >= self._end:
             self._ended_s = self._ended_s or time.monotonic()
@@ -151,12 +152,12 @@ class ReplayNode(Node):
         if self._lockstep is not None:
             self._lockstep.tick_done(msg.header.stamp, sent)
 
-    def _is_over(self) -> bool:
+    def _is_finished(self) -> bool:
         """Returns whether the last tick was reached, and its digests were compared or have timed out."""
         if self._ended_s is None:
             return False
         comparison = self._comparison
-        passed = self._config.lockstep and self._now > self._end  # the run differs: no more digests will come
+        passed = self._config.lockstep and self._now > self._end  # the run differs: no more digests will arrive
         if comparison is None or passed or comparison.is_complete(min(self._end, comparison.last or self._end)):
             return True
         return time.monotonic() - self._ended_s > LAST_DIGESTS_S[self._config.lockstep]
@@ -169,15 +170,15 @@ class ReplayNode(Node):
         self._comparison.add((msg.epoch, msg.step), TickDigests(stamp_ns, tuple(msg.topics), msg.digests))
 
     def _on_run_info(self, msg: RunInfo) -> None:
-        """Notes the differences between the recorded machine and software and the present ones."""
-        now = {**mapping_in(msg.platform), "gibson_sim": msg.version}
-        before = self._run.surroundings.get(msg.kind, {})
-        keys = [key for key in {**before, **now} if key not in _IGNORED]
-        pairs = {key: [str(before.get(key)), str(now.get(key))] for key in keys}
-        pairs["opengl"] = [" ".join(str(x.get("opengl", {}).get(key, "")) for key in _DRIVER) for x in (before, now)]
-        other = {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
-        if before and other:
-            self._other_surroundings[msg.kind] = other
+        """Records the differences between the recorded and the present machine and software."""
+        present = {**mapping_in(msg.platform), "gibson_sim": msg.version}
+        recorded = self._run.surroundings.get(msg.kind, {})
+        keys = [key for key in {**recorded, **present} if key not in _IGNORED]
+        pairs = {key: [str(recorded.get(key)), str(present.get(key))] for key in keys}
+        pairs["opengl"] = [" ".join(str(x.get("opengl", {}).get(key, "")) for key in _DRIVER) for x in (recorded, present)]
+        changes = {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
+        if recorded and changes:
+            self._environment_changes[msg.kind] = changes
 
     def summary(self) -> dict[str, Any]:
         """Returns the number of inputs, the ticks reached, and the result of the verification."""
@@ -190,7 +191,7 @@ class ReplayNode(Node):
             "reached": list(self._now),
             "end": list(self._end),
             "finished": self._ended_s is not None,
-            "other_surroundings": self._other_surroundings,
+            "other_surroundings": self._environment_changes,
             "verification": None if comparison is None else comparison.result().to_json(),
         }
 
@@ -200,10 +201,10 @@ class ReplayNode(Node):
 
 
 class _InputSender:
-    """Sends inputs with the steps at which they are to be applied."""
+    """Sends inputs with the steps at which they must be applied."""
 
     def __init__(self, node: Node, inputs: Sequence[RecordedInput], ahead: int) -> None:
-        """``ahead``: number of steps by which inputs are sent before their own step."""
+        """Creates the publisher; ``ahead`` is the number of steps by which inputs are sent before their step."""
         self._node, self._schedule, self._ahead = node, InputSchedule(inputs), ahead
         self._publisher = node.create_publisher(Input, names.INPUTS_AT, qos.INPUTS)
 
@@ -212,18 +213,18 @@ class _InputSender:
         return _is_matched(self._node, self._publisher) and self._simulation() in _subscribers(self._node, self._publisher)
 
     def _simulation(self) -> str:
-        """Returns the name of the physics node; empty = it is not there."""
-        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(names.SCENE_STATE))
-        return next((f"{info.node_namespace}/{info.node_name}" for info in found), "")
+        """Returns the full name of the physics node; empty = it was not discovered."""
+        publishers = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(names.SCENE_STATE))
+        return next((f"{info.node_namespace}/{info.node_name}" for info in publishers), "")
 
     def send(self, tick: Tick, stamp_ns: int) -> Sequence[str]:
-        """Sends the inputs due at a tick; returns their topics, once for each message."""
+        """Sends the inputs due at a tick; returns the topic of each message."""
         inputs = self._schedule.pop_due(*tick, self._ahead)
         for number, item in enumerate(inputs, 1):
             message = Input(epoch=item.epoch, step=item.step, name=item.name, type=item.type_name)
             message.data = item.data
             self._publisher.publish(message)
-            if number % _MOST_AT_ONCE == 0:
+            if number % _MAX_UNACKNOWLEDGED == 0:
                 self.wait_until_acknowledged()
         return (self._publisher.topic_name,) * len(inputs)
 
@@ -233,10 +234,10 @@ class _InputSender:
 
 
 class _CommandSender:
-    """Publishes commands on their own topics when simulation time reaches theirs."""
+    """Publishes commands on their own topics when simulation time reaches their times."""
 
     def __init__(self, node: Node, commands: Sequence[RecordedCommand]) -> None:
-        """``commands`` are in the order of time."""
+        """Creates the publishers; ``commands`` must be sorted by time."""
         self._node, self._commands, self._next = node, commands, 0
         self._publishers: dict[str, Publisher] = {}
         for item in commands:
@@ -248,7 +249,7 @@ class _CommandSender:
         return all(_is_matched(self._node, publisher) for publisher in self._publishers.values())
 
     def send(self, tick: Tick, stamp_ns: int) -> Sequence[str]:
-        """Sends the commands due at a stamp; returns their topics, once for each message."""
+        """Publishes the commands due at a stamp; returns the topic of each message."""
         first = self._next
         while self._next < len(self._commands) and self._commands[self._next].time_ns <= stamp_ns:
             item = self._commands[self._next]
@@ -257,17 +258,17 @@ class _CommandSender:
         return tuple(item.name for item in self._commands[first : self._next])
 
     def wait_until_acknowledged(self) -> None:
-        """Does not wait: a late command is applied a little later."""
+        """Does nothing: a late command is applied a little later."""
 
 
 def _subscribers(node: Node, publisher: Publisher) -> list[str]:
-    """Returns the full names of the nodes that subscribe to a publisher's topic, recorders among them."""
-    found = node.get_subscriptions_info_by_topic(publisher.topic_name)
-    return [f"{info.node_namespace}/{info.node_name}" for info in found]
+    """Returns the full names of the nodes that subscribe to a publisher's topic, including recorders."""
+    subscriptions = node.get_subscriptions_info_by_topic(publisher.topic_name)
+    return [f"{info.node_namespace}/{info.node_name}" for info in subscriptions]
 
 
 def _is_matched(node: Node, publisher: Publisher) -> bool:
-    """Returns whether a publisher has subscribers, and is matched with all known ones."""
+    """Returns whether a publisher has subscribers, and is matched with all discovered ones."""
     return publisher.get_subscription_count() > 0 and is_fully_matched(node, publisher)
 
 

@@ -1,4 +1,4 @@
-"""Allows one simulation in a ROS domain: with two publishers of /clock, time would jump back and forth for all nodes."""
+"""Ensures that a ROS domain has one simulation: with two publishers of /clock, time would jump back and forth for all nodes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.ros.nodes.node_main import started_by_launcher
 from gibson_sim.ros.topics import names
 
 DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
-"""Wall time in which a new DDS participant discovers the others, s: usually, and on a busy machine."""
+"""Time in which a new DDS participant discovers the others, s of wall time: normally, and on a busy machine."""
 
 
 class SingleSimulationGuard:
@@ -25,10 +25,10 @@ class SingleSimulationGuard:
         self._watch_until = 0.0
 
     def acquire(self) -> None:
-        """Acquires the domain before anything is published: a second scene would replace the first one in its renderers.
+        """Acquires the domain before any message is published: a second scene would replace the first one in its renderers.
 
-        A lock excludes other simulations on this machine, whatever discovery finds; those on other machines must be discovered. A node that
-        the launcher started does not wait for that: the launcher holds the lock.
+        A lock excludes other simulations on this machine independently of discovery; those on other machines must be discovered. A node
+        started by the launcher does not wait for that, since the launcher holds the lock.
 
         Raises:
             AlreadyRunningError: another simulation runs.
@@ -43,7 +43,7 @@ class SingleSimulationGuard:
             self._refuse_second(own=0)
 
     def watch(self) -> None:
-        """Goes on looking for another simulation for ``LATE_DISCOVERY_S``."""
+        """Continues to check for another simulation for ``LATE_DISCOVERY_S``."""
         self._watch_until = time.monotonic() + LATE_DISCOVERY_S
         self._node.create_timer(0.2, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
 

@@ -1,4 +1,4 @@
-"""The snapshot node: saves one image of every output of every camera of a running simulation."""
+"""The snapshot node: saves one image of each output of each camera of a running simulation."""
 
 from __future__ import annotations
 
@@ -23,28 +23,31 @@ from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
 
 _ARRAYS = ("position", "flow")
-"""Outputs that are saved as NumPy arrays, since PNG cannot hold them."""
+"""Outputs that are saved as NumPy arrays, since PNG cannot store them."""
 
 
 class SnapshotNode(Node):
     """Waits for the scene, saves the next image of every camera, and ends.
 
     ``<camera>_rgb.png`` is 8-bit colour; ``<camera>_depth.png`` is 16-bit, millimetres, 0 = nothing or beyond 65.5 m (REP 118);
-    ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit numbers, named in /scene; ``_hole.png`` holds 8-bit numbers;
+    ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit labels, whose names are in /scene; ``_hole.png`` has 8-bit labels;
     ``_normal.png`` and ``_normal_world.png`` map x, y, z from -1..1 to red, green, blue from 0..255; ``_position.npy`` and
-    ``_flow.npy`` are NumPy arrays.
-    Camera ``left/camera`` is ``left_camera`` in file names.
+    ``_flow.npy`` are NumPy arrays. Camera ``left/camera`` is ``left_camera`` in file names.
 
     Parameters: the fields of ``gibson_sim.client_config.SnapshotConfig``.
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Subscribes. ``kwargs`` go to ``rclpy.node.Node``."""
+        """Creates the folder and subscribes to the scene. ``kwargs`` go to ``rclpy.node.Node``.
+
+        Raises:
+            ConfigError: the folder cannot be created.
+        """
         super().__init__("snapshot", **kwargs)
         self._config = config_from_parameters(self, SnapshotConfig)
         self._folder = Path(self._config.output)
-        self._made = [folder for folder in (self._folder, *self._folder.parents) if not folder.exists()]
-        """Folders that were not there, the innermost first."""
+        self._created = [folder for folder in (self._folder, *self._folder.parents) if not folder.exists()]
+        """Folders that this node creates, innermost first."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -52,7 +55,7 @@ class SnapshotNode(Node):
                 f"folder {self._folder} cannot be used: {error.strerror}; choose one that can be written"
             ) from error
         self._missing: dict[str, str] = {}
-        """Topic -> file of each image that has not arrived."""
+        """Topic -> file name of each image that has not arrived."""
         self._scene_seen = False
         self._failed: WriteError | None = None
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
@@ -88,7 +91,8 @@ class SnapshotNode(Node):
         """Spins until every image is saved; returns the exit code.
 
         Raises:
-            GibsonSimError: there is no simulation within ``timeout``, or after that an image is missing; or an image cannot be written.
+            GibsonSimError: no simulation is discovered within ``timeout``, an image does not arrive within ``timeout`` after that, or an image
+                cannot be written.
         """
         timeout_s = self._config.timeout
         simulation = WaitCondition.for_simulation(self, names.SCENE, timeout_s)
@@ -107,12 +111,12 @@ class SnapshotNode(Node):
         return bool(self._missing) or not self._scene_seen
 
     def close(self) -> None:
-        """Leaves no empty folder behind where no image came."""
-        remove_empty(self._made)
+        """Removes the folders that this node created if they are empty."""
+        remove_empty(self._created)
 
 
 def remove_empty(folders: Iterable[Path]) -> None:
-    """Removes folders, the innermost first, until one holds anything."""
+    """Removes folders, innermost first, up to the first one that is not empty."""
     for folder in folders:
         try:
             folder.rmdir()
@@ -121,7 +125,7 @@ def remove_empty(folders: Iterable[Path]) -> None:
 
 
 def png_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Returns the pixels of a PNG: BGR uint8 for colours and normals, uint16 for labels and for depth, in millimetres, uint8 for holes."""
+    """Returns the pixels of a PNG: BGR uint8 for colours and normals, uint16 for labels and for depth in mm, uint8 for holes."""
     if pixels.dtype == np.uint16 or (pixels.dtype == np.uint8 and pixels.ndim == 2):
         return pixels
     if pixels.ndim == 3:

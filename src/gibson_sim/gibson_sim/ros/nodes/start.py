@@ -1,7 +1,7 @@
-"""The entry points of the nodes' processes; Ctrl-C ends them silently while they import their modules.
+"""Entry points of the node processes; Ctrl-C ends them silently while they import their modules.
 
-``python -m gibson_sim.ros.nodes.start gibson_sim.ros.nodes.physics_node ...`` runs that module's ``main`` with the arguments that follow; the
-functions are the programs that ``ros2 run`` and ``ros2 launch`` start. Everything else is imported afterwards.
+``python -m gibson_sim.ros.nodes.start gibson_sim.ros.nodes.physics_node ...`` runs ``main`` of that module with the remaining arguments; the
+functions are the executables of ``ros2 run`` and ``ros2 launch``. All other modules are imported afterwards.
 """
 
 from __future__ import annotations

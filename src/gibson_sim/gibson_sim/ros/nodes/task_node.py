@@ -1,7 +1,7 @@
-"""The task node: sets up episodes of a task in a running simulation, judges them, and drives if a baseline is requested.
+"""The task node: sets up episodes of a task in a running simulation, evaluates them, and runs a baseline policy if requested.
 
-It uses only public interfaces: it spawns and deletes with simulation_interfaces, drives with cmd_vel, and reads published topics. With a
-baseline it takes part in lockstep: time waits while it computes.
+It uses only public interfaces: it spawns and deletes with simulation_interfaces, drives with cmd_vel, and subscribes to published topics.
+With a baseline it is a lockstep participant: time waits while it computes.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ _PERIOD_NS = NS_PER_S // CONTROL_HZ
 
 
 class TaskNode(Node):
-    """Runs episodes one after the other. With a baseline it ends after the last one; without, each reset begins the next one.
+    """Runs episodes one after the other. With a baseline it ends after the last one; otherwise each reset begins the next one.
 
     Parameters: the fields of ``gibson_sim.client_config.TaskConfig``.
 
     Subscribes:
-        scene, scene_state: poses. contacts: what the robot touches. joint_states, grasp_state: of a robot with an arm.
+        scene, scene_state: poses. contacts: bodies that the robot touches. joint_states, grasp_state: if the robot has an arm.
 
     Publishes:
-        task/goal (geometry_msgs/PoseStamped, latched): where to go, or the object of the task; not in tasks that search for the place.
+        task/goal (geometry_msgs/PoseStamped, latched): the goal position, or the object of the task; not in search tasks.
         task/info (std_msgs/String, latched): the episode as JSON: task, seed, text, target_class, start, time_limit, shortest.
-        task/result (std_msgs/String, latched): how an episode ended, as JSON: seed, success, time, path_length, spl, ...
+        task/result (std_msgs/String, latched): the result of an episode as JSON: seed, success, time, path_length, spl, ...
         cmd_vel, joint_command, grasp: only with a baseline.
 
     Services:
@@ -64,7 +64,11 @@ class TaskNode(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Checks the settings and loads the scene to plan in. ``kwargs`` go to ``rclpy.node.Node``."""
+        """Checks the settings and loads the scene for planning. ``kwargs`` go to ``rclpy.node.Node``.
+
+        Raises:
+            GibsonSimError: a setting, the scene or the robot cannot be used.
+        """
         super().__init__("task", **kwargs)
         self._config = config = config_from_parameters(self, TaskConfig)
         self._task = task_of(config.task)
@@ -78,7 +82,7 @@ class TaskNode(Node):
         self._joints: dict[str, float] = {}
         self._joints_ns = self._grasp_ns = -1
         self._control_ns: int | None = None
-        """Stamp of the tick that the baseline answers with commands; earlier ticks are done at once. None = all are."""
+        """Stamp of the tick that the baseline answers with commands; earlier ticks are reported as done immediately. None = all are."""
         self._pending_stamp: Any = None
         """Stamp of the tick that waits for commands."""
         self._held, self._touched = "", frozenset[str]()
@@ -100,8 +104,8 @@ class TaskNode(Node):
         self.create_service(Trigger, RESET, self._on_reset)
         self._executor = make_executor()
         self._executor.add_node(self)
-        drives = config.baseline != "none"
-        self._lockstep = LockstepParticipant(self) if drives else None
+        has_baseline = config.baseline != "none"
+        self._lockstep = LockstepParticipant(self) if has_baseline else None
 
     def _subscribe(self) -> None:
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
@@ -131,7 +135,7 @@ class TaskNode(Node):
             self._pending_stamp = msg.header.stamp
 
     def _finish_tick(self, sent: Sequence[str], control_ns: int | None) -> None:
-        """Reports the waiting tick as done in lockstep, with commands on the topics ``sent``, and sets the next tick to answer."""
+        """Reports the waiting tick as done in lockstep, with the topics ``sent`` of commands, and sets the stamp of the next tick to answer."""
         self._control_ns = control_ns
         if self._lockstep is not None and self._pending_stamp is not None:
             self._lockstep.tick_done(self._pending_stamp, sent)
@@ -162,7 +166,7 @@ class TaskNode(Node):
         """Runs the episodes; returns the exit code.
 
         Raises:
-            GibsonSimError: no simulation answers, or it has another scene or robot than the task.
+            GibsonSimError: no simulation runs, or it has another scene or robot than the task.
         """
         self._wait_for(WaitCondition.for_simulation(self, names.SCENE_STATE, self._config.timeout))
         self._wait(lambda: self._state is not None, "a message on scene_state")
@@ -191,7 +195,7 @@ class TaskNode(Node):
         return 0
 
     def _episode(self, seed: int) -> Metrics:
-        """Sets an episode up, runs it with the baseline or another node, and returns its metrics."""
+        """Sets up an episode, runs it with the baseline or another node, and returns its metrics."""
         self._next_seed = seed + 1
         episode = self._task.generate(seed, self._ground)
         begin_ns = self._set_up(episode)
@@ -216,7 +220,7 @@ class TaskNode(Node):
         return metrics
 
     def _act(self, policy: Policy, observation: Observation) -> list[str]:
-        """Publishes the commands of a baseline; returns the topics, one for each message."""
+        """Publishes the commands of a baseline; returns the topic of each message."""
         action: Action = policy.act(observation)
         twist = Twist()
         twist.linear.x, twist.angular.z = float(action.linear), float(action.angular)
@@ -232,36 +236,38 @@ class TaskNode(Node):
         return sent
 
     def _set_up(self, episode: Episode) -> int:
-        """Sets the scene of an episode up; returns the stamp at which the episode begins."""
+        """Sets up the scene of an episode; returns the stamp at which the episode begins, ns."""
         self._reset_requested = False
         self._velocity_pub.publish(Twist())
         self._clean_up(episode)
-        self._put_robot(episode.start)
+        self._place_robot(episode.start)
         for name in episode.removed:
             self._call(self._delete, srv.DeleteEntity.Request(entity=name))
         for item in episode.items:
-            self._put_item(item)
+            self._spawn_item(item)
             self._spawned.append(item.name)
         roots = {item_root(item) for item in episode.items}
         assert self._state is not None
         self._control_ns = begin_ns = self._state.stamp_ns + round(SETTLE_S * NS_PER_S)
-        self._wait(lambda: self._settled(roots, begin_ns), "state of the scene with all items in it")
+        self._wait(lambda: self._is_set_up(roots, begin_ns), "state of the scene with all items in it")
         return self._state.stamp_ns
 
-    def _settled(self, roots: set[str], begin_ns: int) -> bool:
+    def _is_set_up(self, roots: set[str], begin_ns: int) -> bool:
         return self._has_data_since(begin_ns) and self._state is not None and roots <= set(self._state.links)
 
     def _clean_up(self, episode: Episode) -> None:
-        """Deletes the items of the episode before. If that is not enough, since an arm has moved or a body is missing, resets everything."""
-        there = self._bodies()
+        """Deletes the items of the previous episode. If an arm may have moved, or a body is missing or in conflict, resets the simulation."""
+        present = self._bodies()
         new = {item.name for item in episode.items}
         arm_moved = bool(self._results) and bool(self._ground.robot.manipulators)
-        if arm_moved or not there >= set(episode.removed) or (there & new) - {*episode.removed, *self._spawned}:
+        if arm_moved or not present >= set(episode.removed) or (present & new) - {*episode.removed, *self._spawned}:
             request = srv.ResetSimulation.Request(scope=srv.ResetSimulation.Request.SCOPE_DEFAULT)
-            gone, back = set(self._spawned), {body.name for body in self._ground.scene.bodies}
+            removed, restored = set(self._spawned), {body.name for body in self._ground.scene.bodies}
             self._call(self._reset, request)
             self._joints_ns = self._grasp_ns = -1
-            self._wait(lambda: not gone & self._bodies() - back and back <= self._bodies(), "state of the scene after a reset")
+            self._wait(
+                lambda: not removed & self._bodies() - restored and restored <= self._bodies(), "state of the scene after a reset"
+            )
         else:
             for name in self._spawned:
                 self._call(self._delete, srv.DeleteEntity.Request(entity=name))
@@ -271,7 +277,7 @@ class TaskNode(Node):
         """Returns the names of all robots and bodies in the state."""
         return {link.partition("/")[0] for link in (self._state.links if self._state else ())}
 
-    def _put_robot(self, pose: Pose) -> None:
+    def _place_robot(self, pose: Pose) -> None:
         request = srv.SetEntityState.Request(entity=self._ground.robot.name)
         request.state.pose = conversions.pose_to_msg(pose)
         for part in ("pose", "twist"):
@@ -279,7 +285,7 @@ class TaskNode(Node):
                 setattr(request, f"set_{part}", True)
         self._call(self._place, request)
 
-    def _put_item(self, item: Item) -> None:
+    def _spawn_item(self, item: Item) -> None:
         request = srv.SpawnEntity.Request(name=item.name)
         resource = request.entity_resource if hasattr(request, "entity_resource") else request
         resource.uri, resource.resource_string = "" if item.text else item.model, item.text
@@ -287,7 +293,7 @@ class TaskNode(Node):
         self._call(self._spawn, request)
 
     def _announce(self, episode: Episode) -> None:
-        """Publishes info and goal of an episode."""
+        """Publishes the info and the goal of an episode."""
         goal = episode.goal
         values = {
             "task": episode.task, "seed": episode.seed, "text": goal.text, "target_class": goal.target_class,
@@ -301,14 +307,14 @@ class TaskNode(Node):
             self._goal_pub.publish(message)
 
     def _observe(self, begin_ns: int, from_ns: int = -1) -> Observation:
-        """Returns the observation at the first tick from ``from_ns`` on."""
+        """Returns the observation at the first tick not before ``from_ns``."""
         self._wait(lambda: self._has_data_since(from_ns), "scene_state: is the simulation paused?")
         assert self._state is not None
         robot = self._ground.robot
         return observation_of(self._state, robot.name, robot.base_link, begin_ns, joints=dict(self._joints), held=self._held)
 
     def _has_data_since(self, from_ns: int) -> bool:
-        """Returns whether all data of a tick from ``from_ns`` on have arrived."""
+        """Returns whether all data of a tick not before ``from_ns`` have arrived."""
         stamps = [self._state.stamp_ns if self._state is not None else -1]
         stamps += [self._joints_ns, self._grasp_ns] if self._ground.robot.manipulators else []
         return min(stamps) >= from_ns
@@ -317,17 +323,17 @@ class TaskNode(Node):
         """Calls a service of the simulation.
 
         Raises:
-            GibsonSimError: the service does not answer, or the request fails.
+            GibsonSimError: the service does not respond, or the request fails.
         """
         self._wait(client.service_is_ready, f"service {client.srv_name}")
         future = client.call_async(request)
-        self._wait(future.done, f"answer of {client.srv_name}")
+        self._wait(future.done, f"response of {client.srv_name}")
         result = future.result().result
         if result.result != sim_msg.Result.RESULT_OK:
             raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
 
-    def _wait(self, condition: Callable[[], bool], what: str) -> None:
-        self._wait_for(WaitCondition(self, what, condition, timeout_s=self._config.timeout))
+    def _wait(self, condition: Callable[[], bool], awaited: str) -> None:
+        self._wait_for(WaitCondition(self, awaited, condition, timeout_s=self._config.timeout))
 
     def _wait_for(self, condition: WaitCondition) -> None:
         while not condition.is_met():
@@ -340,8 +346,8 @@ class TaskNode(Node):
         print(summary_line(self._task.name, self._config.baseline, total), flush=True)
         if self._config.output:
             episodes = [{"seed": self._config.seed + k, **episode_values(m)} for k, m in enumerate(self._results)]
-            found = {"task": self._task.name, "baseline": self._config.baseline, **episode_values(total), "all": episodes}
-            write_file(self._config.output, json.dumps(found, indent=1) + "\n")
+            values = {"task": self._task.name, "baseline": self._config.baseline, **episode_values(total), "all": episodes}
+            write_file(self._config.output, json.dumps(values, indent=1) + "\n")
 
     def close(self) -> None:
         """Leaves lockstep and shuts the executor down; spawned items stay in the simulation."""

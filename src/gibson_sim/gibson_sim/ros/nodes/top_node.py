@@ -29,23 +29,24 @@ from gibson_sim.types import NS_PER_S
 NO_SIMULATION = 3
 """Exit code if no simulation runs."""
 _ALL = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Matches every publisher, and blocks none."""
+"""Profile that matches every publisher, and never blocks one."""
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @dataclass
-class _Count:
-    """Messages on a topic since the last overview."""
+class _TopicCount:
+    """Number and size of the messages on a topic since the last overview."""
 
     kind: str
     subscription: Any = None
     messages: int = 0
     size: int = 0
+    """Size of all messages, bytes."""
 
 
 @dataclass
 class _Times:
-    """Wall time and simulation time of one moment."""
+    """Wall time (monotonic) and simulation time of an instant, ns."""
 
     wall_ns: int = field(default_factory=time.monotonic_ns)
     sim_ns: int | None = None
@@ -56,23 +57,28 @@ class TopNode(Node):
 
     Subscribes:
         /diagnostics (diagnostic_msgs/DiagnosticArray): from all nodes, with any keys.
-        /clock (rosgraph_msgs/Clock): as bytes.
-        all topics, as bytes, if their rates are requested. It counts as a subscriber: messages made on demand are made for it.
+        /clock (rosgraph_msgs/Clock): serialized.
+        all topics, serialized, if their rates are requested. Publishers that publish on demand then publish for this node, too.
     """
 
     def __init__(self, topics: bool, options: Mapping[str, Any] | None = None) -> None:
-        """Subscribes. ``topics``: measure the rates of all topics; ``options``: arguments of ``watch``, for ``spin``."""
+        """Creates the subscriptions.
+
+        Args:
+            topics: whether to measure the rates of all topics.
+            options: arguments of ``watch``, for ``spin``.
+        """
         super().__init__("top", start_parameter_services=False)
         self._options = options or {}
         self._executor: Executor | None = None
         self._statuses: dict[str, tuple[Status, int]] = {}
         self._sources: set[frozenset[str]] = set()
         self._stamp_ns: int | None = None
-        self._counts: dict[str, _Count] | None = {} if topics else None
+        self._counts: dict[str, _TopicCount] | None = {} if topics else None
         self._begin = _Times()
         """Start of the period."""
         self._first: _Times | None = None
-        """At the first /clock, which may arrive within a period."""
+        """Times of the first /clock, which may arrive within a period; None = none has arrived."""
         self.create_subscription(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _ALL)
         self.create_subscription(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
 
@@ -96,7 +102,7 @@ class TopNode(Node):
         return bool(self.count_publishers(names.CLOCK))
 
     def has_all_reports(self) -> bool:
-        """Returns whether all publishers of /diagnostics have reported; they are told apart by the names of their statuses."""
+        """Returns whether all publishers of /diagnostics have reported; the names of their statuses distinguish them."""
         return 0 < self.count_publishers(names.DIAGNOSTICS) <= len(self._sources)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
@@ -120,11 +126,11 @@ class TopNode(Node):
         for name, kinds in self.get_topic_names_and_types():
             if name in self._counts or len(kinds) != 1 or not self.count_publishers(name):
                 continue
-            count = self._counts[name] = _Count(kinds[0])
+            count = self._counts[name] = _TopicCount(kinds[0])
             try:
                 kind = message_class(kinds[0])
             except UNKNOWN:
-                continue  # its package is not installed here: it is listed without a rate
+                continue  # the package of the type is not installed: the topic is listed without a rate
             count.subscription = self.create_subscription(kind, name, partial(_add, count), _ALL, raw=True)
 
     def next_overview(self) -> Overview:
@@ -134,7 +140,7 @@ class TopNode(Node):
         sim_s = 0.0
         begin = self._first if self._begin.sim_ns is None else self._begin
         if self._stamp_ns is not None and begin is not None and begin.sim_ns is not None:
-            # Extrapolated to the whole period if /clock arrived only in a part of it.
+            # Extrapolated to the whole period if the first /clock arrived within it.
             sim_s = wall_s * max(0, self._stamp_ns - begin.sim_ns) / max(1, now - begin.wall_ns)
         statuses = tuple(Status(s.name, s.level, s.message, s.values, (now - at) / NS_PER_S) for s, at in self._statuses.values())
         topics = None
@@ -150,29 +156,37 @@ class TopNode(Node):
         return Overview(self.context.get_domain_id(), self._stamp_ns, wall_s, sim_s, nodes, statuses, topics)
 
 
-def _add(count: _Count, data: bytes) -> None:
+def _add(count: _TopicCount, data: bytes) -> None:
     count.messages += 1
     count.size += len(data)
 
 
 def watch(node: TopNode, executor: Executor, *, once: bool, patience_s: float, period_s: float) -> int:
-    """Shows the simulation until the context ends, or once; returns the exit code."""
-    seen = time.monotonic()
+    """Shows overviews until the context ends, or one; returns the exit code.
+
+    Args:
+        node: node that collects the data.
+        executor: executor of the node.
+        once: show one overview only.
+        patience_s: time without a simulation after which it gives up, s of wall time.
+        period_s: period of the overviews, s of wall time.
+    """
+    last_seen = time.monotonic()
     while not node.simulation_runs():
-        if time.monotonic() - seen > patience_s:
+        if time.monotonic() - last_seen > patience_s:
             return _no_simulation(node, patience_s)
         _spin_for(executor, 0.1)
     deadline = time.monotonic() + patience_s
     node.subscribe_to_new_topics()
     node.next_overview()
-    seen = time.monotonic()
+    last_seen = time.monotonic()
     while is_running():
         _spin_for(executor, period_s)
         while once and is_running() and not node.has_all_reports() and time.monotonic() < deadline:
             _spin_for(executor, 0.1)
         if node.simulation_runs():
-            seen = time.monotonic()
-        elif time.monotonic() - seen > patience_s:
+            last_seen = time.monotonic()
+        elif time.monotonic() - last_seen > patience_s:
             return _no_simulation(node, patience_s)
         _show(node.next_overview(), live=not once)
         if once:
@@ -192,17 +206,17 @@ def _no_simulation(node: TopNode, patience_s: float) -> int:
 
 def _spin_for(executor: Executor, seconds: float) -> None:
     deadline = time.monotonic() + seconds
-    while (left := deadline - time.monotonic()) > 0 and is_running():
-        executor.spin_once(timeout_sec=left)
+    while (remaining := deadline - time.monotonic()) > 0 and is_running():
+        executor.spin_once(timeout_sec=remaining)
 
 
 def _show(overview: Overview, *, live: bool) -> None:
     terminal = sys.stdout.isatty()
     color = terminal and "NO_COLOR" not in os.environ
     width = shutil.get_terminal_size((100, 24)).columns
-    before = "\x1b[H\x1b[J" if live and terminal else ""
-    after = "\n" if terminal or not live else "\n\n"
-    sys.stdout.write(before + render(overview, width=width, color=color) + after)
+    clear = "\x1b[H\x1b[J" if live and terminal else ""
+    end = "\n" if terminal or not live else "\n\n"
+    sys.stdout.write(clear + render(overview, width=width, color=color) + end)
     sys.stdout.flush()
 
 

@@ -1,4 +1,4 @@
-"""The output of ``gibson-sim top`` as text. Pure: no ROS."""
+"""Formats the output of ``gibson-sim top``. Pure: no ROS."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from gibson_sim.types import NS_PER_S
 
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
-"""Names of the levels of diagnostic_msgs/DiagnosticStatus, in the order of their numbers."""
+"""Names of the levels of diagnostic_msgs/DiagnosticStatus, by number."""
 _COLORS = ("32", "33", "31", "35")
 """ANSI colours of the levels."""
 STALE_AFTER_S = 3.5
-"""Wall time after which a status that was not repeated is stale, s: nodes report once a second."""
+"""Age after which a status is stale, s of wall time: nodes report once a second."""
 _GAP = "   "
 
 
@@ -25,22 +25,22 @@ class Status:
     """Index into ``LEVELS``."""
     message: str
     values: tuple[tuple[str, str], ...]
-    """Key and value, as the node wrote them."""
+    """Pairs of key and value, as published."""
     age_s: float
-    """Wall time since it arrived, s."""
+    """Time since it arrived, s of wall time."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicRate:
-    """The messages on one topic in the last period."""
+    """Number and size of the messages on one topic in the last period."""
 
     name: str
     kind: str
     messages: int
     size: int
-    """Bytes of all messages."""
+    """Size of all messages, bytes."""
     subscribers: int
-    """Without the top node itself."""
+    """Number of subscribers, without the top node itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +49,15 @@ class Overview:
 
     domain_id: int
     stamp_ns: int | None
-    """Simulation time; None = no /clock yet."""
+    """Simulation time, ns; None = no /clock yet."""
     wall_s: float
-    """Period of the rates, s of wall time."""
+    """Measuring period of the rates, s of wall time."""
     sim_s: float
-    """The same period, s of simulation time."""
+    """Measuring period of the rates, s of simulation time."""
     nodes: int
     statuses: tuple[Status, ...] = ()
     topics: tuple[TopicRate, ...] | None = None
-    """None = not requested."""
+    """Rates of all topics; None = not requested."""
     notes: tuple[str, ...] = field(default=())
 
 

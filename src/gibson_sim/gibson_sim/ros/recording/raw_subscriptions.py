@@ -126,7 +126,7 @@ class RawSubscriptions:
                 unmatched[topic] = matched, there
         return unmatched
 
-    def forget_losses(self) -> None:
+    def reset_losses(self) -> None:
         """Restarts the count of losses."""
         self._losses = LossCounter()
         self._lost_before = self._lost_messages_until_now()
