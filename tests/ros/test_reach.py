@@ -105,7 +105,7 @@ def test_machine_without_a_loopback_interface_is_told_so(hosts: Hosts) -> None:
     command = ["unshare", "--net", sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", "flat", "--no-render"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert "127.0.0.1 cannot be reached (Network is unreachable), by which the nodes find each other" in done.stderr
+    assert "127.0.0.1 cannot be reached (Network is unreachable), which the nodes need for discovery" in done.stderr
 
 
 def test_client_of_ours_that_finds_nothing_on_this_machine_says_how_to_look_on_others(hosts: Hosts) -> None:

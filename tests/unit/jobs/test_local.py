@@ -15,7 +15,7 @@ import pytest
 
 from gibson_sim.errors import ConfigError, WriteError
 from gibson_sim.jobs import units as units_module
-from gibson_sim.jobs.local import LocalWorkers, shares
+from gibson_sim.jobs.local import LocalWorkers, core_shares
 from gibson_sim.jobs.units import Unit, UnitResult, run_units
 from support.processes import is_running, wait_for_end
 
@@ -121,7 +121,7 @@ def test_a_killed_unit_is_repeated_with_an_empty_folder_and_without_its_children
     assert (result.value, result.error, result.attempts) == ([], "", 2)
     assert [path.name for path in (tmp_path / "out" / "u").iterdir()] == ["whole"]
     assert not is_running(int((tmp_path / "note").read_text()))
-    assert told == ["its worker was killed by SIGKILL (has the memory run out?): repeated"]
+    assert told == ["its worker was killed by SIGKILL (out of memory?): repeated"]
 
 
 def test_a_unit_that_always_kills_its_worker_fails_at_the_third_attempt_and_the_others_go_on(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_an_error_for_users_fails_its_unit_with_its_line_alone(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("name", "error"),
     [
-        ("no_json", "support.work:no_json returned what is no JSON: Object of type set is not JSON serializable"),
+        ("no_json", "support.work:no_json returned a value that is not JSON: Object of type set is not JSON serializable"),
         ("leave", "SystemExit: 3"),
         ("absent", "AttributeError: module 'support.work' has no attribute 'absent'"),
     ],
@@ -219,7 +219,7 @@ def test_a_second_ctrl_c_ends_units_that_go_on(tmp_path: Path) -> None:
     assert json.loads(waiting.process.stdout.readline()) == ["ending", 2, ""]
     assert json.loads(waiting.process.stdout.readline()) == ["u2", None, "stopped before it began"]
     waiting.process.send_signal(signal.SIGINT)
-    assert set(waiting.results().values()) == {(None, "stopped, and ended since it went on")}
+    assert set(waiting.results().values()) == {(None, "stopped, and killed since it did not end")}
     assert not [pid for pid in waiting.started if is_running(pid)]
 
 
@@ -241,8 +241,8 @@ def _read(path: Path) -> bytes:
 
 
 def test_each_worker_has_its_share_of_the_cores(tmp_path: Path) -> None:
-    assert shares([0, 2, 4, 5, 6], 2) == [[0, 2], [4, 5, 6]]
-    assert shares([0, 1], 3) == [[0], [1], [0]]
+    assert core_shares([0, 2, 4, 5, 6], 2) == [[0, 2], [4, 5, 6]]
+    assert core_shares([0, 1], 3) == [[0], [1], [0]]
     (result,) = run_units([Unit("u", "support.work:cores")], LocalWorkers(1, bind=True), output=tmp_path)
     assert result.value == sorted(os.sched_getaffinity(0))
 
@@ -260,7 +260,7 @@ def test_a_function_without_module_is_refused(function: str) -> None:
 
 
 def test_arguments_that_json_lacks_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigError, match="unit u: its arguments are no JSON: Object of type set"):
+    with pytest.raises(ConfigError, match="unit u: its arguments are not JSON: Object of type set"):
         Unit("u", "m:f", {"x": {1}})
     monkeypatch.setattr(units_module, "MAX_ARGUMENTS_BYTES", 2_000_000)
     with pytest.raises(ConfigError, match="unit u: its arguments have 3 MB as JSON, at most 2 MB; pass files"):
@@ -278,7 +278,7 @@ def test_equal_ids_and_used_folders_are_refused_before_anything_starts(tmp_path:
         run_units([unit, unit], LocalWorkers(1), output=tmp_path)
     (tmp_path / "u").mkdir()
     (tmp_path / "u" / "mine").write_text("mine")
-    with pytest.raises(WriteError, match="/u is there already"):
+    with pytest.raises(WriteError, match="/u exists already"):
         run_units([unit], LocalWorkers(1), output=tmp_path)
     assert (tmp_path / "u" / "mine").read_text() == "mine"
 

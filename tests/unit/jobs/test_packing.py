@@ -67,30 +67,30 @@ def test_a_cache_fetches_what_it_lacks_and_gives_a_tree_that_nobody_writes(scene
         return {digest: contents[digest] for digest in digests}
 
     cache = FileCache(tmp_path / "cache")
-    place = cache.place("hall", entries, fetch)
+    place = cache.store("hall", entries, fetch)
     assert place.name == "hall"
     assert packed(place) == (entries, contents)
     assert (place / "scene.yaml").stat().st_mode & 0o777 == 0o444
     assert (place / "run.sh").stat().st_mode & 0o777 == 0o555
-    assert cache.place("hall", entries, fetch) == place
-    file = cache.place("other.yaml", (Entry("", "file", ABC),), fetch)
+    assert cache.store("hall", entries, fetch) == place
+    file = cache.store("other.yaml", (Entry("", "file", ABC),), fetch)
     assert (file.name, file.read_text()) == ("other.yaml", "abc")
     assert fetched == [sorted(contents)]
 
 
 def test_a_cache_mends_a_damaged_content(tmp_path: Path) -> None:
     cache = FileCache(tmp_path)
-    cache.place("a", (Entry("", "file", ABC),), lambda _: {ABC: b"abc"})
+    cache.store("a", (Entry("", "file", ABC),), lambda _: {ABC: b"abc"})
     (tmp_path / "contents" / ABC).chmod(0o644)
     (tmp_path / "contents" / ABC).write_text("ab")
-    assert cache.place("b", (Entry("", "file", ABC),), lambda _: {ABC: b"abc"}).read_text() == "abc"
+    assert cache.store("b", (Entry("", "file", ABC),), lambda _: {ABC: b"abc"}).read_text() == "abc"
 
 
 def test_a_content_that_changed_on_the_way_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(GibsonSimError, match="x arrived with another content"):
+    with pytest.raises(GibsonSimError, match="x was damaged in transfer"):
         unpack(tmp_path, (Entry("x", "file", ABC),), {ABC: b"abd"})
-    with pytest.raises(GibsonSimError, match="x arrived with another content"):
-        FileCache(tmp_path / "cache").place("hall", (Entry("x", "file", ABC),), lambda _: {ABC: b"abd"})
+    with pytest.raises(GibsonSimError, match="x was damaged in transfer"):
+        FileCache(tmp_path / "cache").store("hall", (Entry("x", "file", ABC),), lambda _: {ABC: b"abd"})
     assert sorted(path.name for path in (tmp_path / "cache").rglob("*")) == ["contents", "trees"]
 
 

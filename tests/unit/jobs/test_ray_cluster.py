@@ -151,9 +151,7 @@ def test_a_unit_that_always_kills_its_worker_fails_at_the_third_attempt(
 ) -> None:
     address, environment = cluster
     process = start(address, environment, tmp_path, [("u", "die", {"signal": signal.SIGKILL}, [])])
-    assert end(process) == [
-        ["u", None, f"its worker was killed by SIGKILL (has the memory run out?) on {os.uname().nodename}", 3]
-    ]
+    assert end(process) == [["u", None, f"its worker was killed by SIGKILL (out of memory?) on {os.uname().nodename}", 3]]
 
 
 def test_ctrl_c_ends_the_units_on_the_cluster(cluster: tuple[str, dict[str, str]], tmp_path: Path) -> None:
@@ -186,6 +184,6 @@ def test_files_over_the_limit_are_refused_in_one_line(cluster: tuple[str, dict[s
     units: list[Work] = [(name, "read", {"path": str(tmp_path / name)}, [str(tmp_path / name)]) for name in ("a", "b")]
     process = start(address, environment, tmp_path / "out", units, limit_bytes=1000)
     assert end(process) == [
-        f"the files of the units have more than 1.0 KB together, up to {tmp_path}/b; name less, or put large ones into one place on all "
+        f"the files of the units have more than 1.0 KB together, up to {tmp_path}/b; name fewer files, or put large ones at the same path on all "
         "machines"
     ]

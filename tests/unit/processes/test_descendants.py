@@ -9,7 +9,7 @@ import sys
 import threading
 from pathlib import Path
 
-from gibson_sim.processes.descendants import VARIABLE, any_runs, below, end_all, end_marked, marked, siblings, with_mark
+from gibson_sim.processes.descendants import VARIABLE, any_runs, descendants, end_all, end_marked, marked, siblings, with_mark
 from support.processes import wait_for_end
 
 WAITS = "import time; time.sleep(600)"
@@ -46,10 +46,10 @@ def test_all_below_a_process_are_found_but_for_some_and_those_below_them() -> No
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         child = int(parent.stdout.readline())
-        assert below(parent.pid) == [child]
-        assert {parent.pid, child} <= set(below(os.getpid()))
-        assert not {parent.pid, child} & set(below(os.getpid(), [parent.pid]))
-        end_all(lambda: below(parent.pid))
+        assert descendants(parent.pid) == [child]
+        assert {parent.pid, child} <= set(descendants(os.getpid()))
+        assert not {parent.pid, child} & set(descendants(os.getpid(), [parent.pid]))
+        end_all(lambda: descendants(parent.pid))
     assert parent.returncode == 0
     wait_for_end([child])
 

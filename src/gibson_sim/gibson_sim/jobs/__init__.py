@@ -1,7 +1,7 @@
-"""Work in independent units over many processes of this machine, or over the machines of a Ray cluster. ``docs/many_machines.md`` is for users.
+"""Runs independent units of work in processes of this machine or on a Ray cluster. User documentation: ``docs/many_machines.md``.
 
-A ``Unit`` is a function by name with arguments of JSON and a folder of its own; ``run_units`` runs many, and a backend says where:
-``LocalWorkers`` (``local.py``) or ``RayCluster`` (``ray_cluster.py``). The content of a result depends neither on the backend nor on the order.
+A ``Unit`` is a function by name with JSON arguments and a folder of its own. ``run_units`` runs many units on a backend: ``LocalWorkers``
+(``local.py``) or ``RayCluster`` (``ray_cluster.py``). The content of a result depends neither on the backend nor on the order.
 
     # the module my_work, which the workers can import
     def square(arguments, folder, context):
@@ -11,7 +11,7 @@ A ``Unit`` is a function by name with arguments of JSON and a folder of its own;
 
     units = [Unit(f"{k:04d}", "my_work:square", {"x": k}) for k in range(100)]
     results = run_units(units, LocalWorkers(2), output=Path("out"), on_result=lambda result: print(result.id, result.error or result.value))
-    # out/0007/square.txt is there; results are in the order of the units
+    # out/0007/square.txt exists; results are in the order of the units
 
-Imports neither ROS nor Ray; only ``ray_cluster.py`` imports Ray, once a cluster is used.
+Imports neither ROS nor Ray; only ``ray_cluster.py`` imports Ray, when a cluster is used.
 """

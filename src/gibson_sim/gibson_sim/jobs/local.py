@@ -1,4 +1,4 @@
-"""Units on worker processes of this machine: ``LocalWorkers``, and the ``Pool`` of processes behind it."""
+"""Execution of units in worker processes of this machine: ``LocalWorkers`` and its ``Pool`` of processes."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from gibson_sim.writing import cannot_write, write_file
 
 MAX_WORKERS = 256
 GRACE_S = 20.0
-"""Wall time that running units have to end once they are told to, seconds."""
+"""Wall time that running units have to end after a request to stop, seconds."""
 _PERIOD_S = 0.1
-"""Wall time between two looks at ``stop`` and at the health of the workers, seconds."""
+"""Polling period of ``stop`` and of the state of the workers, seconds of wall time."""
 _EXIT_PERIOD_S = 0.005
 
 
 class LocalWorkers:
-    """Worker processes of this machine: each a Python of its own that runs unit after unit, so that it imports and loads once.
+    """Worker processes of this machine: each is a Python process that runs many units, so that imports and loading happen once.
 
     Args:
         count: number of processes.
-        bind: whether each may use its share of the cores alone; results do not depend on it.
-        repeats: how often a unit is repeated whose worker died.
-        on_interrupt: called at the first Ctrl-C with the number of units that run, before they are ended.
+        bind: whether each process is bound to its share of the cores; results do not depend on it.
+        repeats: number of repetitions of a unit whose worker died.
+        on_interrupt: called at the first Ctrl-C with the number of running units, before they are ended.
 
     Raises:
-        ConfigError: the count is impossible.
+        ConfigError: the count is not allowed.
     """
 
     def __init__(
@@ -71,15 +71,15 @@ class LocalWorkers:
             raise KeyboardInterrupt
 
 
-def shares(cores: Sequence[int], count: int) -> list[list[int]]:
-    """Returns the cores of each of ``count`` workers: neighbours, as many for each as there are; shared if there are fewer than workers."""
+def core_shares(cores: Sequence[int], count: int) -> list[list[int]]:
+    """Returns the cores of each of ``count`` workers: equal blocks of neighbours; shared if there are fewer cores than workers."""
     if len(cores) < count:
         return [[cores[k % len(cores)]] for k in range(count)]
     return [list(cores[k * len(cores) // count : (k + 1) * len(cores) // count]) for k in range(count)]
 
 
 class _Task:
-    """A unit on its way through the pool."""
+    """A unit with its state in the pool."""
 
     def __init__(self, unit: Unit, output: Path, files: Mapping[str, str], base: str) -> None:
         self.unit, self.files, self.base = unit, files, base
@@ -87,10 +87,10 @@ class _Task:
         self.attempts, self.began = 0, 0.0
 
     def prepare(self) -> None:
-        """Makes its folder anew, without what an attempt that died left there.
+        """Creates an empty folder for the unit, without the files of an earlier attempt.
 
         Raises:
-            WriteError: that is impossible.
+            WriteError: the folder cannot be created.
         """
         try:
             if self.folder.exists():
@@ -100,7 +100,7 @@ class _Task:
             raise cannot_write(self.folder, error) from error
 
     def result(self, **values: Any) -> UnitResult:
-        """Returns its result; removes an empty log."""
+        """Returns the result of the unit; removes an empty log."""
         if self.log.exists() and not self.log.stat().st_size:
             self.log.unlink()
         seconds = time.monotonic() - self.began if self.attempts else 0.0
@@ -109,7 +109,7 @@ class _Task:
 
 
 class _Worker:
-    """One worker process, with the unit that it runs."""
+    """A worker process with its current unit."""
 
     def __init__(self, mark: str, folder: Path, cores: Sequence[int]) -> None:
         self.mark, self._folder, self._cores = f"{mark}.{uuid4().hex[:8]}", folder, cores
@@ -120,7 +120,7 @@ class _Worker:
         os.set_blocking(self.answers, False)
         arguments = (str(requests), str(answers), ",".join(map(str, cores)))
         try:
-            # A mark for this worker, after the mark of the pool: either finds what it started.
+            # Marks of the pool and of this worker: either finds the processes that the worker started.
             environment = with_mark(with_mark(os.environ, mark), self.mark)
             with held_back():
                 self.process = subprocess.Popen(
@@ -140,8 +140,8 @@ class _Worker:
             os.close(requests)
             os.close(answers)
 
-    def give(self, task: _Task) -> None:
-        """Begins a unit."""
+    def start(self, task: _Task) -> None:
+        """Starts a unit."""
         task.prepare()
         task.attempts += 1
         task.began = time.monotonic()
@@ -161,14 +161,14 @@ class _Worker:
         try:
             os.write(self._requests, json.dumps(str(file)).encode() + b"\n")
         except BrokenPipeError:
-            return  # it has died, which is found with the next look
+            return  # the worker has died, which the next poll detects
 
     @property
     def _result(self) -> Path:
         return self._folder / f"{self.mark}.result.json"
 
     def read(self) -> list[dict[str, Any]]:
-        """Returns the messages that have come."""
+        """Returns the messages that have arrived."""
         while True:
             try:
                 data = os.read(self.answers, 1 << 16)
@@ -180,19 +180,19 @@ class _Worker:
         *lines, self._unread = self._unread.split(b"\n")
         return [json.loads(line) for line in lines]
 
-    def finished(self) -> dict[str, Any]:
-        """Returns what the function of the ended unit returned, see ``worker.call``."""
-        found: dict[str, Any] = json.loads(self._result.read_text(encoding="utf-8"))
-        return found
+    def read_result(self) -> dict[str, Any]:
+        """Returns the result of the unit that has ended, see ``worker.call``."""
+        result: dict[str, Any] = json.loads(self._result.read_text(encoding="utf-8"))
+        return result
 
     def close_requests(self) -> None:
-        """Tells the unit to stop, and the process to end then; a second call does nothing."""
+        """Requests the unit to stop and the process to end after it; a second call does nothing."""
         if self._requests >= 0:
             os.close(self._requests)
             self._requests = -1
 
     def end(self) -> None:
-        """Ends the process and all that it started, and frees its pipes."""
+        """Ends the process and all processes that it started, and closes its pipes."""
         self.close_requests()
         end_marked(self.mark)
         self.process.wait()
@@ -200,15 +200,15 @@ class _Worker:
 
 
 class Pool:
-    """Worker processes that stay from one call of ``run`` to the next. Close it."""
+    """Worker processes that persist between calls of ``run``. Must be closed."""
 
     def __init__(self, count: int, *, bind: bool = False) -> None:
-        """``count``: number of processes; ``bind``: whether each has its share of the cores; they start with the first units."""
+        """``count``: number of processes, started with the first units; ``bind``: whether each is bound to its share of the cores."""
         self._mark = uuid4().hex
         self.folder = Path(tempfile.mkdtemp(prefix="gibson-sim-units-"))
-        """For temporary files; it is removed once this process closes the pool or ends, however it ends."""
+        """Folder for temporary files; removed when the pool is closed or this process ends for any reason."""
         self._janitor = Janitor(self._mark, self.folder)
-        self._cores = shares(sorted(os.sched_getaffinity(0)), count) if bind else [[]] * count
+        self._cores = core_shares(sorted(os.sched_getaffinity(0)), count) if bind else [[]] * count
         self._workers: list[_Worker | None] = [None] * count
         self._selector = selectors.DefaultSelector()
 
@@ -228,64 +228,64 @@ class Pool:
         """Runs units, see ``run_units``.
 
         Args:
-            units: with different ids.
-            output: folder of their outputs.
+            units: units with different ids.
+            output: folder of the outputs.
             on_result: receives each result.
-            on_progress: receives ids and texts.
-            stop: whether to end.
-            interrupts: the first one ends as ``stop`` does; a second one does not wait.
-            repeats: how often a unit is repeated whose worker died.
-            files: path at the caller -> path here; None = they are where the units say.
-            base: folder that the caller works in; empty = that of this process.
+            on_progress: receives the id of a unit and its progress text.
+            stop: returns whether to end.
+            interrupts: the first one has the effect of ``stop``; the second one ends the units without waiting.
+            repeats: number of repetitions of a unit whose worker died.
+            files: path at the caller -> path on this machine; None = the same paths.
+            base: working folder of the caller; empty = that of this process.
         """
         waiting = deque(_Task(unit, output, _in_place(unit) if files is None else files, base or os.getcwd()) for unit in units)
         deadline: float | None = None
-        """When units that were told to stop are ended, monotonic clock."""
+        """Time at which units that were requested to stop are ended, s, monotonic clock."""
         while waiting or any(worker.task for worker in self._running()):
             if deadline is None and (interrupts.count or stop()):
                 deadline = time.monotonic() + GRACE_S
-                interrupts.tell(sum(worker.task is not None for worker in self._running()))
+                interrupts.report(sum(worker.task is not None for worker in self._running()))
                 for worker in self._running():
                     worker.close_requests()
                 while waiting:
                     on_result(waiting.popleft().result(error="stopped before it began", stopped=True))
             if deadline is None:
-                self._give(waiting)
+                self._assign(waiting)
             for key, _ in self._selector.select(_PERIOD_S):
-                _take(key.data, on_result, on_progress)
+                _handle_messages(key.data, on_result, on_progress)
             for worker in self._running():
                 if worker.process.poll() is not None:
-                    _take(worker, on_result, on_progress)  # what it sent before
-                    reason = f"its worker {_ending(worker.process.returncode)}"
-                    task = self._bury(worker)
+                    _handle_messages(worker, on_result, on_progress)  # messages sent before its end
+                    reason = f"its worker {_exit_text(worker.process.returncode)}"
+                    task = self._remove(worker)
                     if task is not None and deadline is None and task.attempts <= repeats:
                         on_progress(task.unit.id, f"{reason}: repeated")
                         waiting.appendleft(task)
                     elif task is not None:
                         on_result(task.result(error=reason, stopped=deadline is not None, died=deadline is None))
             if deadline is not None and (time.monotonic() > deadline or interrupts.count > 1):
-                for task in self._bury_all():
-                    on_result(task.result(error="stopped, and ended since it went on", stopped=True))
+                for task in self._remove_all():
+                    on_result(task.result(error="stopped, and killed since it did not end", stopped=True))
 
     def close(self, interrupts: Interrupts) -> None:
-        """Ends all processes; a second call does nothing. A worker may finish what it does at its exit, unless there is an interrupt."""
+        """Ends all processes; a second call does nothing. Workers may run their exit handlers unless an interrupt arrives."""
         for worker in self._running():
             worker.close_requests()
-        deadline, asked = time.monotonic() + GRACE_S, interrupts.count
-        while self._running() and time.monotonic() < deadline and interrupts.count == asked:
+        deadline, initial_count = time.monotonic() + GRACE_S, interrupts.count
+        while self._running() and time.monotonic() < deadline and interrupts.count == initial_count:
             for worker in self._running():
                 if worker.process.poll() is not None:
-                    self._bury(worker)
+                    self._remove(worker)
             time.sleep(_EXIT_PERIOD_S)
-        self._bury_all()
+        self._remove_all()
         self._selector.close()
         self._janitor.close()
 
     def _running(self) -> list[_Worker]:
         return [worker for worker in self._workers if worker is not None]
 
-    def _give(self, waiting: deque[_Task]) -> None:
-        """Gives units to workers that have none, and starts missing workers."""
+    def _assign(self, waiting: deque[_Task]) -> None:
+        """Assigns units to idle workers and starts missing workers."""
         for k in range(len(self._workers)):
             if not waiting:
                 return
@@ -294,73 +294,73 @@ class Pool:
                 worker = self._workers[k] = _Worker(self._mark, self.folder, self._cores[k])
                 self._selector.register(worker.answers, selectors.EVENT_READ, worker)
             if worker.task is None:
-                worker.give(waiting.popleft())
+                worker.start(waiting.popleft())
 
-    def _bury(self, worker: _Worker) -> _Task | None:
-        """Ends a worker and all that it started; returns the unit that it had."""
+    def _remove(self, worker: _Worker) -> _Task | None:
+        """Ends a worker and all processes that it started; returns its unit."""
         self._selector.unregister(worker.answers)
         self._workers[self._workers.index(worker)] = None
         worker.end()
         return worker.task
 
-    def _bury_all(self) -> list[_Task]:
-        """Ends all workers and all that they started; returns the units that they had."""
+    def _remove_all(self) -> list[_Task]:
+        """Ends all workers and all processes that they started; returns their units."""
         end_marked(self._mark)
-        tasks = [self._bury(worker) for worker in self._running()]
+        tasks = [self._remove(worker) for worker in self._running()]
         return [task for task in tasks if task is not None]
 
 
 class Interrupts:
-    """Counts Ctrl-C (SIGINT) in a block, in place of KeyboardInterrupt, which would break off what keeps account of processes."""
+    """Counts Ctrl-C (SIGINT) within a block instead of raising KeyboardInterrupt, which would interrupt the bookkeeping of processes."""
 
     def __init__(self, on_interrupt: Callable[[int], None] = ignore) -> None:
-        """``on_interrupt``: see ``tell``."""
+        """``on_interrupt``: see ``report``."""
         self.count = 0
-        self._before: Any = None
+        self._previous_handler: Any = None
         self._on_interrupt = on_interrupt
 
-    def tell(self, running: int) -> None:
-        """Tells that work ends because of an interrupt, if it does. ``running``: number of units that run; 0 = not known."""
+    def report(self, running: int) -> None:
+        """Calls ``on_interrupt`` if an interrupt has arrived. ``running``: number of running units; 0 = unknown."""
         if self.count:
             self._on_interrupt(running)
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            self._before = signal.signal(signal.SIGINT, self._on_signal)
+            self._previous_handler = signal.signal(signal.SIGINT, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        if self._previous_handler is not None:
+            signal.signal(signal.SIGINT, self._previous_handler)
 
     def _on_signal(self, number: int, frame: object) -> None:
         self.count += 1
 
 
 def _in_place(unit: Unit) -> dict[str, str]:
-    return {place: place for place in (os.path.abspath(path) for path in unit.files)}
+    return {path: path for path in (os.path.abspath(file) for file in unit.files)}
 
 
-def _take(worker: _Worker, on_result: Callable[[UnitResult], None], on_progress: Callable[[str, str], None]) -> None:
-    """Handles the messages of a worker that have come."""
+def _handle_messages(worker: _Worker, on_result: Callable[[UnitResult], None], on_progress: Callable[[str, str], None]) -> None:
+    """Handles the messages of a worker that have arrived."""
     for message in worker.read():
         task = worker.task
-        if task is None:  # a thread that the last unit left reports progress
+        if task is None:  # progress from a thread that an earlier unit left running
             continue
         if "progress" in message:
             on_progress(task.unit.id, message["progress"])
         else:
-            found = worker.finished()
+            values = worker.read_result()
             worker.task = None
-            on_result(task.result(**found))
+            on_result(task.result(**values))
 
 
-def _ending(code: int) -> str:
-    """Returns how a process ended, from its exit code, negative for a signal."""
+def _exit_text(code: int) -> str:
+    """Returns a description of an exit code; negative = the signal."""
     if code >= 0:
         return f"ended with code {code}"
     try:
         name = signal.Signals(-code).name
-    except ValueError:  # real-time signals have none
+    except ValueError:  # real-time signals have no name
         name = f"signal {-code}"
-    return f"was killed by {name}" + (" (has the memory run out?)" if -code == signal.SIGKILL else "")
+    return f"was killed by {name}" + (" (out of memory?)" if -code == signal.SIGKILL else "")

@@ -1,6 +1,6 @@
-"""Files and folders as values that travel: a list of entries, and the contents of the files by their BLAKE2b digests. Without Ray.
+"""Serialises files and folders for transfer: a list of entries, and file contents by BLAKE2b digest. Must not import Ray.
 
-What a unit reads goes into a ``FileCache`` on each machine, where each content is stored once; what it wrote comes back with its contents.
+The files that a unit reads are stored in a ``FileCache`` on each machine, each content once; its output is sent back with its contents.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from gibson_sim.reading import read_file
 from gibson_sim.writing import cannot_write, size_text, write_file
 
 MAX_ENTRIES = 200_000
-"""Limit of files and folders in one folder."""
+"""Largest number of files and folders in one folder."""
 Contents = dict[str, bytes]
-"""Digest -> content of a file."""
+"""Digest -> file content."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,36 +31,36 @@ class Entry:
     """A file, a folder, or a symbolic link."""
 
     path: str
-    """Below the folder; empty = the file itself."""
+    """Path relative to the folder; empty = the root itself."""
     kind: Literal["file", "folder", "link"]
     text: str = ""
-    """Digest of a file, target of a link."""
+    """Digest of a file, or target of a link."""
     executable: bool = False
 
 
 def digest_of(content: bytes) -> str:
-    """Returns the BLAKE2b digest of a content: 64 hexadecimal digits."""
+    """Returns the BLAKE2b digest of a content, 64 hexadecimal digits."""
     return hashlib.blake2b(content, digest_size=32).hexdigest()
 
 
 def entries_of(
     root: Path, keep: Callable[[str, bytes], None], *, limit_bytes: int, links_may_leave: bool = False
 ) -> tuple[Entry, ...]:
-    """Reads a file or a folder, and returns its entries, sorted by path.
+    """Reads a file or a folder; returns its entries, sorted by path.
 
     Args:
         root: the file or folder.
-        keep: receives digest and content of every file.
-        limit_bytes: limit of all contents.
-        links_may_leave: whether links are kept that lead out of the folder; else they are refused. Pipes and sockets are left out or refused.
+        keep: called with digest and content of every file.
+        limit_bytes: largest total size of all contents.
+        links_may_leave: whether links that lead out of the folder are kept, and pipes and sockets ignored; otherwise both are refused.
 
     Raises:
-        ConfigError: there is too much, or a link leaves the folder.
+        ConfigError: a limit is exceeded, an entry cannot be read, or a link leaves the folder.
     """
-    found: list[Entry] = []
+    entries: list[Entry] = []
     size = 0
     for path, name in _walk(root):
-        if len(found) >= MAX_ENTRIES:
+        if len(entries) >= MAX_ENTRIES:
             raise ConfigError(f"{root} has more than {MAX_ENTRIES} files and folders; name a smaller folder")
         if path.is_symlink() and name:
             target = os.readlink(path)
@@ -68,9 +68,9 @@ def entries_of(
                 raise ConfigError(
                     f"{path} is a link to {quoted(target)}, outside of {root}: put a copy there instead of the link"
                 )
-            found.append(Entry(name, "link", target))
+            entries.append(Entry(name, "link", target))
         elif path.is_dir():
-            found.append(Entry(name, "folder"))
+            entries.append(Entry(name, "folder"))
         elif path.is_file():
             try:
                 size += path.stat().st_size
@@ -81,17 +81,17 @@ def entries_of(
                 raise ConfigError(f"{path} cannot be read: {error.strerror}") from error
             digest = digest_of(content)
             keep(digest, content)
-            found.append(Entry(name, "file", digest, os.access(path, os.X_OK)))
+            entries.append(Entry(name, "file", digest, os.access(path, os.X_OK)))
         elif not links_may_leave:
             raise ConfigError(f"{path} is neither a file nor a folder")
-    return tuple(sorted(found, key=lambda entry: entry.path))
+    return tuple(sorted(entries, key=lambda entry: entry.path))
 
 
 def unpack(root: Path, entries: Collection[Entry], contents: Mapping[str, bytes]) -> None:
-    """Writes entries into a folder that exists. Links come last: nothing is written through one.
+    """Writes entries into an existing folder. Links come last, so that no file is written through a link.
 
     Raises:
-        GibsonSimError: an entry has an impossible path, or a content has another digest.
+        GibsonSimError: an entry's path leads out of the folder, or a content does not match its digest.
         WriteError: a file cannot be written.
     """
     for entry in sorted(entries, key=lambda entry: (entry.kind == "link", entry.path)):
@@ -105,7 +105,7 @@ def unpack(root: Path, entries: Collection[Entry], contents: Mapping[str, bytes]
             else:
                 content = contents[entry.text]
                 if digest_of(content) != entry.text:
-                    raise GibsonSimError(f"{entry.path} arrived with another content than it was sent with")
+                    raise GibsonSimError(f"{entry.path} was damaged in transfer: its content does not match its digest")
                 write_file(path, content, durable=False)
                 path.chmod(0o755 if entry.executable else 0o644)
         except OSError as error:
@@ -113,7 +113,7 @@ def unpack(root: Path, entries: Collection[Entry], contents: Mapping[str, bytes]
 
 
 class FileCache:
-    """Files and folders of other machines, by their digests. Its folder may be removed whenever nothing runs.
+    """Cache of files and folders of other machines, by digest. Its folder may be removed while no unit runs.
 
     ::
 
@@ -122,59 +122,59 @@ class FileCache:
     """
 
     def __init__(self, folder: Path) -> None:
-        """``folder``: made when it is needed."""
+        """``folder``: created when needed."""
         self._contents, self._trees = folder / "contents", folder / "trees"
 
-    def place(self, name: str, entries: Collection[Entry], fetch: Callable[[list[str]], Contents]) -> Path:
-        """Returns where a file or folder is, and puts it there first if it is not.
+    def store(self, name: str, entries: Collection[Entry], fetch: Callable[[list[str]], Contents]) -> Path:
+        """Stores a file or folder unless it is in the cache; returns its path.
 
         Args:
             name: last part of its path.
-            entries: what it is.
-            fetch: returns the contents that are missing here.
+            entries: entries of the file or folder.
+            fetch: returns the missing contents by their digests.
 
         Raises:
-            GibsonSimError: an entry has an impossible path, or a content has another digest.
+            GibsonSimError: an entry's path leads out of the folder, or a content does not match its digest.
             WriteError: the folder cannot be written.
         """
         text = json.dumps([name, [asdict(entry) for entry in entries]])
         tree = self._trees / digest_of(text.encode())
-        place = tree / _checked(name)
+        path = tree / _checked(name)
         if tree.exists():
-            return place
+            return path
         try:
             self._contents.mkdir(parents=True, exist_ok=True)
             self._trees.mkdir(parents=True, exist_ok=True)
             files = [entry for entry in entries if entry.kind == "file"]
             missing = [entry.text for entry in files if not self._has(entry)]
             fetched = fetch(list(dict.fromkeys(missing))) if missing else {}
-            half = Path(tempfile.mkdtemp(dir=self._trees, prefix=".half-"))
+            partial = Path(tempfile.mkdtemp(dir=self._trees, prefix=".half-"))
             try:
-                self._build(half / name, entries, fetched)
-                half.chmod(0o755)
-                half.rename(tree)
+                self._build(partial / name, entries, fetched)
+                partial.chmod(0o755)
+                partial.rename(tree)
             except BaseException as error:
-                shutil.rmtree(half, ignore_errors=True)
-                if not (isinstance(error, OSError) and tree.exists()):  # another process has made it meanwhile
+                shutil.rmtree(partial, ignore_errors=True)
+                if not (isinstance(error, OSError) and tree.exists()):  # another process has created it meanwhile
                     raise
         except OSError as error:
             raise cannot_write(tree, error) from error
-        return place
+        return path
 
     def _content(self, entry: Entry) -> Path:
         return self._contents / (f"{entry.text}.x" if entry.executable else entry.text)
 
     def _has(self, entry: Entry) -> bool:
-        """Returns whether a content is here; removes one that a crash of the machine left damaged."""
+        """Returns whether a content is stored; removes a damaged one, left by a crash of the machine."""
         stored = self._content(entry)
         if stored.exists() and digest_of(stored.read_bytes()) == entry.text:
             return True
         stored.unlink(missing_ok=True)
         return False
 
-    def _build(self, place: Path, entries: Collection[Entry], fetched: Contents) -> None:
+    def _build(self, root: Path, entries: Collection[Entry], fetched: Contents) -> None:
         for entry in sorted(entries, key=lambda entry: (entry.kind == "link", entry.path)):
-            path = place / _checked(entry.path) if entry.path else place
+            path = root / _checked(entry.path) if entry.path else root
             path.parent.mkdir(parents=True, exist_ok=True)
             if entry.kind == "folder":
                 path.mkdir(exist_ok=True)
@@ -184,39 +184,39 @@ class FileCache:
                 stored = self._stored(entry, fetched)
                 try:
                     os.link(stored, path)
-                except OSError:  # a file system without hard links, or with the most that it allows
+                except OSError:  # no hard links on this file system, or too many
                     shutil.copy2(stored, path)
 
     def _stored(self, entry: Entry, fetched: Contents) -> Path:
-        """Returns the stored content of a file."""
+        """Stores the content of a file unless it is stored; returns its path."""
         stored = self._content(entry)
         if not stored.exists():
             if digest_of(fetched[entry.text]) != entry.text:
-                raise GibsonSimError(f"{entry.path} arrived with another content than it was sent with")
+                raise GibsonSimError(f"{entry.path} was damaged in transfer: its content does not match its digest")
             write_file(stored, fetched[entry.text], durable=False)
             stored.chmod(0o555 if entry.executable else 0o444)
         return stored
 
 
 def _walk(root: Path) -> Iterator[tuple[Path, str]]:
-    """Yields all paths of a file or folder, with their names below it; links are not followed."""
+    """Yields all paths of a file or folder with their names relative to it; links are not followed."""
     yield root, ""
-    for place, folders, names in os.walk(root):
-        below = os.path.relpath(place, root)
+    for parent, folders, names in os.walk(root):
+        relative = os.path.relpath(parent, root)
         for name in sorted([*folders, *names]):
-            yield Path(place, name), name if below == "." else f"{below}/{name}"
+            yield Path(parent, name), name if relative == "." else f"{relative}/{name}"
 
 
 def _is_within(root: Path, link: Path, target: str) -> bool:
-    """Returns whether a link leads to a place in a folder, also where the folder is copied elsewhere."""
+    """Returns whether a link leads to a path inside a folder, also after the folder is copied elsewhere."""
     return not os.path.isabs(target) and Path(os.path.realpath(link)).is_relative_to(os.path.realpath(root))
 
 
 def _checked(path: str) -> str:
-    """Returns the path of an entry, which leads to no place above.
+    """Returns the path of an entry if it does not lead out of the folder.
 
     Raises:
-        GibsonSimError: it does.
+        GibsonSimError: the path leads out of the folder.
     """
     if path.startswith("/") or ".." in PurePosixPath(path).parts or "\0" in path:
         raise GibsonSimError(f"an entry has the path {quoted(path)}, which leads out of its folder")

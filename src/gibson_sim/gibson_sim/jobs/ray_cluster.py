@@ -1,6 +1,6 @@
-"""Units on a Ray cluster: one Ray task for each; the files that they read travel by content hash. The only module that imports Ray.
+"""Execution of units on a Ray cluster, one Ray task each; their files are transferred by content hash. The only module that imports Ray.
 
-A Ray worker runs a unit in a worker process as ``LocalWorkers`` does, with the same code, and keeps that process for its next units.
+A Ray worker runs a unit in a worker process with the same code as ``LocalWorkers`` and keeps this process for its next units.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from gibson_sim.writing import size_text, write_file
 
 logger = logging.getLogger(__name__)
 MAX_FILES_BYTES = 8_000_000_000
-"""Limit of the files of all units together, each content counted once."""
+"""Largest size of the files of all units together, each content counted once, bytes."""
 MAX_OUTPUT_BYTES = 2_000_000_000
-"""Limit of what one unit writes."""
+"""Largest size of the output of one unit, bytes."""
 MAX_LOG_BYTES = 4_000_000
-"""Of a longer log, the end comes back."""
+"""Largest size of a log, bytes; of a longer log only the end is sent back."""
 _PERIOD_S = 0.1
-"""Wall time between two looks at ``stop``, seconds."""
+"""Polling period of ``stop``, seconds of wall time."""
 
 
 class RayCluster:
-    """The machines of a Ray cluster, which all have this version of Gibson Sim.
+    """The machines of a Ray cluster; all must have this version of Gibson Sim.
 
     Args:
         address: ``host:port`` of the cluster, ``ray://host:port`` of its client server, or ``auto`` = the cluster of this machine.
         cpus: cores that Ray reserves for a unit.
-        gpus: graphics cards that it reserves.
-        repeats: how often a unit is repeated whose worker or machine died.
-        limit_bytes: limit of the files of all units together.
-        on_interrupt: called at the first Ctrl-C, before the units are ended, with 0: how many run is not known.
+        gpus: graphics cards that Ray reserves for a unit.
+        repeats: number of repetitions of a unit whose worker or machine died.
+        limit_bytes: largest size of the files of all units together.
+        on_interrupt: called at the first Ctrl-C, before the units are ended, with 0: the number of running units is unknown.
 
     Raises:
         EnvironmentProblemError: Ray is not installed.
@@ -76,22 +76,24 @@ class RayCluster:
         on_progress: Callable[[str, str], None],
         stop: Callable[[], bool],
     ) -> None:
-        """Runs all units, see ``run_units``; ``on_progress`` is called for repeated units alone."""
+        """Runs all units, see ``run_units``; ``on_progress`` is called only for repeated units."""
         with Interrupts(self._on_interrupt) as interrupts, _connection(self._ray, self._address):
             self._warn_if_too_small()
-            shipped = _Shipped(self._ray, self._limit)
-            begin = self._ray.remote(_run_here).options(num_cpus=self._cpus, num_gpus=self._gpus, max_retries=0)
-            _Run(self._ray, begin, shipped, output, on_result, on_progress, self._repeats).run(units, stop, interrupts)
+            uploads = _Uploads(self._ray, self._limit)
+            submit = self._ray.remote(_run_in_ray_worker).options(num_cpus=self._cpus, num_gpus=self._gpus, max_retries=0)
+            _Run(self._ray, submit, uploads, output, on_result, on_progress, self._repeats).run(units, stop, interrupts)
         if interrupts.count:
             raise KeyboardInterrupt
 
     def _warn_if_too_small(self) -> None:
-        for name, wanted in (("CPU", self._cpus), ("GPU", self._gpus)):
-            if all(node["Resources"].get(name, 0.0) < wanted for node in self._ray.nodes() if node["Alive"]):
-                logger.warning("each unit waits for a machine with %g %s, which the Ray cluster does not have now", wanted, name)
+        for name, required in (("CPU", self._cpus), ("GPU", self._gpus)):
+            if all(node["Resources"].get(name, 0.0) < required for node in self._ray.nodes() if node["Alive"]):
+                logger.warning(
+                    "each unit waits for a machine with %g %s, which the Ray cluster does not have now", required, name
+                )
 
 
-class _Shipped:
+class _Uploads:
     """The files of units in Ray's object store, each content once."""
 
     def __init__(self, ray: Any, limit_bytes: int) -> None:
@@ -101,7 +103,7 @@ class _Shipped:
         self._size = 0
 
     def reference(self, path: Path) -> Any:
-        """Returns the reference of a file or folder: of its entries and the references of its contents."""
+        """Uploads a file or folder once; returns the reference to its entries and to the references of its contents."""
         path = Path(os.path.abspath(path))
         if path not in self._known:
             digests: dict[str, None] = {}
@@ -113,8 +115,8 @@ class _Shipped:
                 self._size += len(content)
                 if self._size > self._limit:
                     raise ConfigError(
-                        f"the files of the units have more than {size_text(self._limit)} together, up to {path}; name less, "
-                        "or put large ones into one place on all machines"
+                        f"the files of the units have more than {size_text(self._limit)} together, up to {path}; name fewer files, "
+                        "or put large ones at the same path on all machines"
                     )
                 self._contents[digest] = self._ray.put(content)
 
@@ -129,23 +131,23 @@ class _Run:
     def __init__(
         self,
         ray: Any,
-        begin: Any,
-        shipped: _Shipped,
+        submit: Any,
+        uploads: _Uploads,
         output: Path,
         on_result: Callable[[UnitResult], None],
         on_progress: Callable[[str, str], None],
         repeats: int,
     ) -> None:
-        self._ray, self._begin, self._shipped, self._output = ray, begin, shipped, output
+        self._ray, self._remote, self._uploads, self._output = ray, submit, uploads, output
         self._on_result, self._on_progress, self._repeats = on_result, on_progress, repeats
         self._tasks: dict[Any, tuple[Unit, int]] = {}
-        """Reference of a task -> its unit, and which attempt it is."""
+        """Reference of a task -> its unit and the number of the attempt."""
         self._logs: dict[str, bytes] = {}
-        """Id of a unit -> what all its attempts printed."""
+        """Id of a unit -> output of all its attempts."""
         self._stopping = False
 
     def run(self, units: Sequence[Unit], stop: Callable[[], bool], interrupts: Interrupts) -> None:
-        """Begins all units and takes their results."""
+        """Submits all units and collects their results."""
         deadline = 0.0
         forced = False
         try:
@@ -154,28 +156,28 @@ class _Run:
             while self._tasks:
                 if not self._stopping and (interrupts.count or stop()):
                     self._stopping, deadline = True, time.monotonic() + 1.5 * GRACE_S
-                    interrupts.tell(0)
+                    interrupts.report(0)
                     self._cancel(force=False)
                 if self._stopping and not forced and (time.monotonic() > deadline or interrupts.count > 1):
                     forced = True
                     self._cancel(force=True)
                 ready, _ = self._ray.wait(list(self._tasks), num_returns=1, timeout=_PERIOD_S)
                 for task in ready:
-                    self._take(task)
+                    self._collect(task)
         finally:
             self._cancel(force=True)
 
     def _submit(self, unit: Unit, attempt: int) -> None:
-        files = {os.path.abspath(path): [self._shipped.reference(path)] for path in unit.files}
-        task = self._begin.remote(__version__, unit.id, unit.function, unit.arguments, files, os.getcwd())
+        files = {os.path.abspath(path): [self._uploads.reference(path)] for path in unit.files}
+        task = self._remote.remote(__version__, unit.id, unit.function, unit.arguments, files, os.getcwd())
         self._tasks[task] = (unit, attempt)
 
     def _cancel(self, *, force: bool) -> None:
         for task in self._tasks:
             self._ray.cancel(task, force=force)
 
-    def _take(self, task: Any) -> None:
-        """Takes the result of a task, or begins its unit again."""
+    def _collect(self, task: Any) -> None:
+        """Collects the result of a task, or submits its unit again."""
         unit, attempt = self._tasks.pop(task)
         errors = self._ray.exceptions
         reply: dict[str, Any] = {}
@@ -206,42 +208,44 @@ class _Run:
 
 
 _POOL: Pool | None = None
-"""In a Ray worker: its worker process, which stays for its next units. Both end together."""
+"""In a Ray worker: its worker process, kept for the next units. Both end together."""
 
 
-def _run_here(version: str, name: str, function: str, arguments: Any, files: dict[str, list[Any]], base: str) -> dict[str, Any]:
-    """Runs a unit in a Ray worker; returns result, log, and what it wrote.
+def _run_in_ray_worker(
+    version: str, name: str, function: str, arguments: Any, files: dict[str, list[Any]], base: str
+) -> dict[str, Any]:
+    """Runs a unit in a Ray worker; returns its result, log and output files.
 
     Args:
-        version: that the caller has.
+        version: version of Gibson Sim at the caller.
         name: id of the unit.
-        function: of the unit.
-        arguments: of the unit.
-        files: path at the caller -> a list of the reference of its entries, which Ray thus does not fetch by itself.
-        base: folder that the caller works in.
+        function: function of the unit.
+        arguments: arguments of the unit.
+        files: path at the caller -> reference of its entries, inside a list so that Ray does not resolve it.
+        base: working folder of the caller.
     """
     global _POOL
     host = socket.gethostname()
     if version != __version__:
         raise EnvironmentProblemError(
-            f"machine {host} has Gibson Sim {__version__}, the caller {version}: install one version on all"
+            f"machine {host} has Gibson Sim {__version__}, the caller {version}: install the same version on all machines"
         )
     ray = _import_ray()
     cache = FileCache(cache_folder("jobs"))
-    here = {}
+    copies = {}
     for path, (reference,) in files.items():
         entries, contents = ray.get(reference)
 
         def fetch(digests: list[str], contents: dict[str, Any] = contents) -> Contents:
             return dict(zip(digests, ray.get([contents[digest] for digest in digests]), strict=True))
 
-        here[path] = str(cache.place(Path(path).name, entries, fetch))
+        copies[path] = str(cache.store(Path(path).name, entries, fetch))
     if _POOL is None:
         _POOL = Pool(1)
     results: list[UnitResult] = []
     with Interrupts() as interrupts, tempfile.TemporaryDirectory(dir=_POOL.folder) as output:
         unit = Unit(name, function, arguments)
-        _POOL.run([unit], Path(output), results.append, ignore, never, interrupts, repeats=0, files=here, base=base)
+        _POOL.run([unit], Path(output), results.append, ignore, never, interrupts, repeats=0, files=copies, base=base)
         (result,) = results
         kept: Contents = {}
         log = result.log.read_bytes()[-MAX_LOG_BYTES:] if result.log else b""
@@ -268,21 +272,21 @@ def _import_ray() -> Any:
 
 @contextmanager
 def _connection(ray: Any, address: str) -> Iterator[None]:
-    """Connects this process to a cluster for a block, unless it is connected already."""
+    """Connects this process to a cluster within a block, unless it is already connected."""
     if ray.is_initialized():
         yield
         return
     main = threading.current_thread() is threading.main_thread()
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)} if main else {}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)} if main else {}
     try:
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise EnvironmentProblemError(
             f"no Ray cluster at {quoted(address)}: {clipped(str(error), 200)}; start one with `ray start --head`, and set RAY_AUTH_TOKEN "
-            "if it wants a token"
+            "if it requires a token"
         ) from error
     finally:
-        for number, handler in before.items():  # Ray sets its own
+        for number, handler in handlers.items():  # Ray replaces them
             signal.signal(number, handler)
     try:
         yield
@@ -291,7 +295,7 @@ def _connection(ray: Any, address: str) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Returns one line about an exception of a Ray task, which is not that of a unit's function."""
+    """Returns one line about an exception of a Ray task that a unit's function did not raise."""
     cause = getattr(error, "cause", None)
     if isinstance(cause, GibsonSimError):
         return str(cause)

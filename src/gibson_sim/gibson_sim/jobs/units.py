@@ -1,4 +1,4 @@
-"""Units of work, their results, and ``run_units``, which runs them on a backend."""
+"""Units of work, their results, and ``run_units``, which runs units on a backend."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from gibson_sim.reading import exists
 from gibson_sim.writing import cannot_write
 
 REPEATS = 2
-"""How often a unit is repeated whose worker process died."""
+"""Number of repetitions of a unit whose worker process died."""
 MAX_ARGUMENTS_BYTES = 64_000_000
-"""Limit of a unit's arguments as JSON; whatever is larger belongs into files."""
+"""Largest size of a unit's arguments as JSON, bytes; larger data belong in files."""
 LOG_SUFFIX = ".log"
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _FUNCTION = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 
 
 class Context(Protocol):
-    """What a unit's function is told by its worker, and what it can tell."""
+    """Interface between a unit's function and its worker."""
 
     def stop(self) -> bool:
-        """Returns whether the unit shall end early: it has a few seconds to end what it started and return."""
+        """Returns whether the unit must end early; it then has a few seconds to end its processes and return."""
         ...
 
     def progress(self, text: str) -> None:
@@ -35,26 +35,26 @@ class Context(Protocol):
         ...
 
     def path(self, path: str | Path) -> Path:
-        """Returns where a file or folder is on this machine that stands in the unit's ``files``, or in a folder of them."""
+        """Returns the path on this machine of a file or folder in the unit's ``files`` or below one of these folders."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A piece of work that depends on no other one.
+    """A piece of work that depends on no other unit.
 
     Raises:
-        ConfigError: a value is impossible.
+        ConfigError: a value is not allowed.
     """
 
     id: str
-    """Name of its folder: at most 100 letters, digits, ``.``, ``_`` and ``-``."""
+    """Name of the unit and of its folder: at most 100 letters, digits, ``.``, ``_`` and ``-``."""
     function: str
-    """``module:function``, called as ``function(arguments, folder, context)``; returns values of JSON."""
+    """``module:function``, called as ``function(arguments, folder, context)``; returns JSON values."""
     arguments: dict[str, Any] = field(default_factory=dict)
-    """Values of JSON; the function receives what JSON makes of them, lists for tuples."""
+    """JSON values; the function receives them after a JSON round trip, which turns tuples into lists."""
     files: tuple[Path, ...] = ()
-    """Files and folders that it reads; on other machines ``context.path`` tells where their copies are."""
+    """Files and folders that the unit reads; ``context.path`` returns the paths of their copies on other machines."""
 
     def __post_init__(self) -> None:
         if not _ID.fullmatch(self.id) or self.id.endswith(LOG_SUFFIX):
@@ -67,7 +67,7 @@ class Unit:
         try:
             size = len(json.dumps(self.arguments))
         except (TypeError, ValueError, RecursionError) as error:
-            raise ConfigError(f"unit {self.id}: its arguments are no JSON: {error}") from error
+            raise ConfigError(f"unit {self.id}: its arguments are not JSON: {error}") from error
         if size > MAX_ARGUMENTS_BYTES:
             raise ConfigError(
                 f"unit {self.id}: its arguments have {size / 1e6:.0f} MB as JSON, at most {MAX_ARGUMENTS_BYTES / 1e6:.0f} MB; pass files"
@@ -79,27 +79,27 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class UnitResult:
-    """How a unit ended."""
+    """Result of a unit."""
 
     id: str
     value: Any = None
-    """What the function returned."""
+    """Return value of the function, JSON values."""
     error: str = ""
-    """Why it failed, in one line; empty = it did not."""
+    """Reason of a failure, one line; empty = none."""
     attempts: int = 1
-    """How often it was begun; 0 = never, since all was stopped before."""
+    """Number of attempts; 0 = stopped before the unit began."""
     log: Path | None = None
-    """All that it printed, and the whole traceback; None = nothing."""
+    """File with its output and the full traceback; None = no output."""
     stopped: bool = False
-    """Whether it failed because all was stopped."""
+    """Whether the unit failed because all units were stopped."""
     died: bool = False
-    """Whether it failed because its worker died at every attempt."""
+    """Whether the unit failed because its worker died at every attempt."""
     seconds: float = 0.0
-    """Wall time of the last attempt."""
+    """Wall time of the last attempt, seconds."""
 
 
 class Backend(Protocol):
-    """Where units run."""
+    """Executor of units."""
 
     def run(
         self,
@@ -109,7 +109,7 @@ class Backend(Protocol):
         on_progress: Callable[[str, str], None],
         stop: Callable[[], bool],
     ) -> None:
-        """Runs all units and hands over each result once; see ``run_units``."""
+        """Runs all units and hands over each result exactly once; see ``run_units``."""
         ...
 
 
@@ -131,36 +131,37 @@ def run_units(
     on_progress: Callable[[str, str], None] = ignore,
     stop: Callable[[], bool] = never,
 ) -> list[UnitResult]:
-    """Runs units, and returns their results in the order of the units.
+    """Runs units; returns their results in the order of the units.
 
-    What unit ``x`` wrote into its folder is in ``output/x``, what it printed in ``output/x.log``. A unit that raises has failed; the others
-    go on. A unit whose worker died is repeated, at most twice, with an empty folder. Ctrl-C and ``stop`` ask the running units to end, and
-    end them if they do not; nothing that they started is left behind, also when this process is killed.
+    The folder of unit ``x`` is ``output/x``, its output is in ``output/x.log``. A unit that raises has failed; the others continue. A unit
+    whose worker died is repeated, at most twice, with an empty folder. Ctrl-C and ``stop`` ask the running units to end, and end them if they
+    do not. No process of a unit is left behind, even if this process is killed.
 
     Args:
-        units: with different ids.
-        backend: where they run.
-        output: folder of their outputs, which is made.
-        on_result: called in this thread with each result as it comes.
+        units: units with different ids.
+        backend: executor of the units.
+        output: folder of the outputs; it is created.
+        on_result: called in this thread with each result when it is available.
         on_progress: called in this thread with the id and the text of ``context.progress``.
-        stop: asked several times a second; no unit begins once it returns True.
+        stop: called several times a second; no unit begins after it has returned True.
 
     Raises:
-        ConfigError: two units have one id, or the output of one is there already.
-        KeyboardInterrupt: Ctrl-C; everything has ended.
+        ConfigError: two units have the same id.
+        WriteError: the output of a unit exists already, or the folder cannot be written.
+        KeyboardInterrupt: Ctrl-C; all units have ended.
     """
     ids = [unit.id for unit in units]
-    twice = next((name for k, name in enumerate(ids) if name in ids[:k]), None) if len(set(ids)) < len(ids) else None
-    if twice is not None:
-        raise ConfigError(f"two units have the id {quoted(twice)}, each needs its own")
+    duplicate = next((name for k, name in enumerate(ids) if name in ids[:k]), None) if len(set(ids)) < len(ids) else None
+    if duplicate is not None:
+        raise ConfigError(f"two units have the id {quoted(duplicate)}; ids must be unique")
     try:
         output.mkdir(parents=True, exist_ok=True)
-        there = {path.name for path in output.iterdir()}
+        existing = {path.name for path in output.iterdir()}
     except OSError as error:
         raise cannot_write(output, error) from error
-    used = next((name for name in ids if name in there or name + LOG_SUFFIX in there), None)
+    used = next((name for name in ids if name in existing or name + LOG_SUFFIX in existing), None)
     if used is not None:
-        raise WriteError(f"{output / used} is there already from an earlier time; remove it, or choose another folder")
+        raise WriteError(f"{output / used} exists already; remove it, or choose another folder")
     results: dict[str, UnitResult] = {}
 
     def keep(result: UnitResult) -> None:

@@ -1,7 +1,7 @@
-"""The program of a worker process: ``python -m gibson_sim.jobs.worker REQUESTS ANSWERS CORES``; runs unit after unit until its pipe ends.
+"""The program of a worker process: ``python -m gibson_sim.jobs.worker REQUESTS ANSWERS CORES``; runs units until its pipe is closed.
 
-REQUESTS and ANSWERS are descriptors of pipes with a line of JSON for each message. A request names a file with the unit, an answer one with
-the result, so that no message exceeds what a pipe holds. Standard output and error of a unit go into its log.
+REQUESTS and ANSWERS are descriptors of pipes with one line of JSON per message. Units and results pass through files, so that no message
+exceeds the capacity of a pipe. Standard output and error of a unit go to its log.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from gibson_sim.quoting import clipped, quoted
 from gibson_sim.writing import write_file
 
 _LONGEST = 500
-"""Characters of a line of progress."""
+"""Largest length of a progress line, characters."""
 
 
 class WorkerContext:
-    """What a unit's function is given, see ``units.Context``."""
+    """Context of a unit's function, see ``units.Context``."""
 
     def __init__(
         self, stopping: threading.Event, send: Callable[[dict[str, Any]], None], files: dict[str, str], base: str
     ) -> None:
-        """``files``: path at the caller -> path here; ``base``: folder of the caller, which relative paths begin at."""
+        """``files``: path at the caller -> path on this machine; ``base``: the caller's folder, to which relative paths refer."""
         self._stopping, self._send, self._files, self._base = stopping, send, files, base
 
     def stop(self) -> bool:
-        """Returns whether the unit shall end early."""
+        """Returns whether the unit must end early."""
         return self._stopping.is_set()
 
     def progress(self, text: str) -> None:
@@ -44,21 +44,21 @@ class WorkerContext:
         self._send({"progress": clipped(text, _LONGEST)})
 
     def path(self, path: str | Path) -> Path:
-        """Returns where a file of the unit is."""
-        wanted = Path(os.path.normpath(os.path.join(self._base, path)))
-        for there, here in self._files.items():
-            if wanted == Path(there) or Path(there) in wanted.parents:
-                return Path(here) / wanted.relative_to(there)
+        """Returns the path of a file of the unit on this machine."""
+        absolute = Path(os.path.normpath(os.path.join(self._base, path)))
+        for original, copy in self._files.items():
+            if absolute == Path(original) or Path(original) in absolute.parents:
+                return Path(copy) / absolute.relative_to(original)
         raise GibsonSimError(f"{quoted(str(path))} is not among the unit's files: {', '.join(self._files) or 'it has none'}")
 
 
 class _Requests:
-    """Reads the requests in a thread, since a unit is told to stop while it runs."""
+    """Reads the requests in a thread, so that the request to stop arrives while a unit runs."""
 
     def __init__(self, descriptor: int) -> None:
         self._units: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self.stopping = threading.Event()
-        """Set once the caller wants an end, or has ended."""
+        """Set when the caller requests an end or has ended."""
         threading.Thread(target=self._read, args=(descriptor,), daemon=True).start()
 
     def _read(self, descriptor: int) -> None:
@@ -69,31 +69,31 @@ class _Requests:
         self._units.put(None)
 
     def next(self) -> str | None:
-        """Returns the file of the next unit; None = there is none anymore."""
+        """Returns the file of the next unit; None = no further units."""
         return self._units.get()
 
 
 def call(function: str, arguments: Any, folder: Path, context: WorkerContext) -> dict[str, Any]:
-    """Returns ``{"value": ...}``, or ``{"error": ...}`` with one line; the traceback goes to standard error."""
+    """Calls a unit's function; returns ``{"value": ...}``, or ``{"error": ...}`` with one line; the traceback goes to standard error."""
     module, _, name = function.partition(":")
     try:
         value = getattr(import_module(module), name)(arguments, folder, context)
         try:
             json.dumps(value)
         except (TypeError, ValueError, RecursionError) as error:
-            raise GibsonSimError(f"{function} returned what is no JSON: {error}") from error
+            raise GibsonSimError(f"{function} returned a value that is not JSON: {error}") from error
         return {"value": value}
     except GibsonSimError as error:
         return {"error": str(error)}
     except BaseException as error:
         traceback.print_exc()
-        own = isinstance(error, ImportError) and module.startswith(error.name or module)
-        missing = missing_package(error) if isinstance(error, ImportError) and not own else None
+        is_unit_module = isinstance(error, ImportError) and module.startswith(error.name or module)
+        missing = missing_package(error) if isinstance(error, ImportError) and not is_unit_module else None
         return {"error": str(missing) if missing else clipped(traceback.format_exception_only(error)[-1].strip(), _LONGEST)}
 
 
-def _print_into(path: str) -> None:
-    """Sends standard output and error, also those of compiled code and of child processes, into a file."""
+def _redirect_output(path: str) -> None:
+    """Redirects standard output and error to a file, including those of compiled code and of child processes."""
     sys.stdout.flush()
     sys.stderr.flush()
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -103,7 +103,7 @@ def _print_into(path: str) -> None:
 
 
 def main() -> None:
-    """Runs units until the pipe of requests ends."""
+    """Runs units until the pipe of requests is closed."""
     requests, answers = int(sys.argv[1]), int(sys.argv[2])
     for descriptor in (requests, answers):
         os.set_inheritable(descriptor, False)
@@ -117,15 +117,15 @@ def main() -> None:
         with sending:
             try:
                 os.write(answers, json.dumps(message).encode() + b"\n")
-            except BrokenPipeError:  # the caller has ended, and this process is about to
+            except BrokenPipeError:  # the caller has ended, and this process is about to end
                 incoming.stopping.set()
 
     while (file := incoming.next()) is not None:
         unit = json.loads(Path(file).read_text(encoding="utf-8"))
-        _print_into(unit["log"])
+        _redirect_output(unit["log"])
         context = WorkerContext(incoming.stopping, send, unit["files"], unit["base"])
         result = call(unit["function"], unit["arguments"], Path(unit["folder"]), context)
-        _print_into(os.devnull)
+        _redirect_output(os.devnull)
         write_file(unit["result"], json.dumps(result), durable=False)
         send({"done": True})
 

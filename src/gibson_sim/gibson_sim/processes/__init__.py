@@ -1,1 +1,1 @@
-"""Processes of nodes: their environment, how they start and end, the folder and the ROS domain that they share, and what ended ones leave."""
+"""Node processes: environment, start and end, shared job folder, lock of the ROS domain, and cleanup after killed processes."""

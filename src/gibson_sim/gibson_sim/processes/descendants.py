@@ -1,7 +1,7 @@
-"""Processes that a program started, wherever they went: found by a variable that each inherits, since sessions and parents change; and ended.
+"""Finds and ends all descendants of a program by an inherited environment variable, since sessions and parents can change.
 
-Run as a program, it waits for the end of its standard input, which the caller of ``run_units`` holds, and then ends them and removes the
-caller's temporary folder: also when the caller was killed. Imports the standard library alone.
+As a program, it waits for the end of its standard input, which the caller of ``run_units`` holds open, then ends the processes and removes the
+caller's temporary folder, even if the caller was killed. Imports only the standard library.
 """
 
 from __future__ import annotations
@@ -16,77 +16,77 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 VARIABLE = "GIBSON_SIM_JOBS"
-"""Environment variable of all that workers start: the marks of a worker, outermost first, with colons between."""
+"""Environment variable of all processes that workers start: marks of the worker, outermost first, separated by colons."""
 TERM_S = 3.0
 """Wall time between SIGTERM and SIGKILL, seconds."""
 _KILLED_S = 10.0
-"""Wall time that a process has to end after SIGKILL, seconds: one that waits for a broken disk does not."""
+"""Wall time that a process has to end after SIGKILL, seconds: a process in uninterruptible sleep does not end."""
 _PERIOD_S = 0.02
 _PROCESSES = Path("/proc")
 
 
 def with_mark(environment: Mapping[str, str], mark: str) -> dict[str, str]:
-    """Returns an environment with one more mark."""
-    before = environment.get(VARIABLE, "")
-    return {**environment, VARIABLE: f"{before}:{mark}" if before else mark}
+    """Returns a copy of an environment with an additional mark."""
+    marks = environment.get(VARIABLE, "")
+    return {**environment, VARIABLE: f"{marks}:{mark}" if marks else mark}
 
 
 def marked(mark: str, variable: str = VARIABLE) -> list[int]:
     """Returns the ids of all processes with a mark, except this one. Another user's processes are not seen.
 
     Args:
-        mark: one of those in the variable, with which they were started.
+        mark: one of the marks in the variable at the start of the process.
         variable: name of the environment variable.
     """
     return sorted(pid for pid in _all() if pid != os.getpid() and mark in _marks(pid, variable))
 
 
 def end_marked(mark: str, variable: str = VARIABLE, term_s: float = TERM_S) -> int:
-    """Ends all processes with a mark, see ``end_all``; returns how many there were."""
+    """Ends all processes with a mark, see ``end_all``; returns their number."""
     return end_all(lambda: marked(mark, variable), term_s)
 
 
-def below(pid: int, without: Iterable[int] = ()) -> list[int]:
-    """Returns the ids of all processes below a process, without those in ``without`` and below them."""
+def descendants(pid: int, without: Iterable[int] = ()) -> list[int]:
+    """Returns the ids of all descendants of a process, without those in ``without`` and their descendants."""
     children: dict[int, list[int]] = {}
-    for one in _all():
-        children.setdefault(_parent(one), []).append(one)
-    found, left, spared = [], [pid], set(without)
-    while left:
-        own = [child for child in children.get(left.pop(), ()) if child not in spared]
-        found += own
-        left += own
-    return sorted(found)
+    for process_id in _all():
+        children.setdefault(_parent(process_id), []).append(process_id)
+    result, pending, excluded = [], [pid], set(without)
+    while pending:
+        included = [child for child in children.get(pending.pop(), ()) if child not in excluded]
+        result += included
+        pending += included
+    return sorted(result)
 
 
 def end_all(find: Callable[[], list[int]], term_s: float = TERM_S) -> int:
-    """Ends processes by SIGTERM, those that stay by SIGKILL, and waits for their end; returns how many there were.
+    """Ends processes with SIGTERM, remaining ones with SIGKILL, and waits for their end; returns their number.
 
     Args:
-        find: returns the ids of those that are there; those that come meanwhile are ended, too.
+        find: returns the ids of the running processes; processes that start meanwhile are also ended.
         term_s: wall time between the signals, seconds.
     """
-    asked: set[int] = set()
+    signalled: set[int] = set()
     deadline_s = time.monotonic() + term_s
-    while there := find():
+    while running := find():
         now_s = time.monotonic()
         if now_s >= deadline_s + _KILLED_S:
             break
-        for pid in there:
-            if now_s >= deadline_s or pid not in asked:
+        for pid in running:
+            if now_s >= deadline_s or pid not in signalled:
                 _send(pid, signal.SIGKILL if now_s >= deadline_s else signal.SIGTERM)
-        asked.update(there)
+        signalled.update(running)
         time.sleep(_PERIOD_S)
-    return len(asked)
+    return len(signalled)
 
 
 def siblings(processes: Path = _PROCESSES) -> list[int]:
-    """Returns the ids of the other processes that this one's parent started. ``processes``: where the kernel lists them."""
+    """Returns the ids of the other children of this process's parent. ``processes``: the kernel's list, ``/proc``."""
     return [pid for pid in _all(processes) if pid != os.getpid() and _parent(pid, processes) == os.getppid()]
 
 
 def any_runs(process_ids: Iterable[int], processes: Path = _PROCESSES) -> bool:
-    """Returns whether a thread of any of these processes runs, waits for a processor, or for a disk, at this moment."""
+    """Returns whether a thread of any of these processes currently runs, is runnable or waits for a disk."""
     for process_id in process_ids:
         for stat in (processes / str(process_id) / "task").glob("*/stat"):
             try:
@@ -98,10 +98,10 @@ def any_runs(process_ids: Iterable[int], processes: Path = _PROCESSES) -> bool:
 
 
 class Janitor:
-    """A process that ends all processes with a mark, and removes a folder, once this process closes it or ends, however it ends."""
+    """A process that ends all processes with a mark and removes a folder when this process closes it or ends for any reason."""
 
     def __init__(self, mark: str, folder: Path) -> None:
-        """``folder``: removed at the end."""
+        """``mark``: see ``with_mark``; ``folder``: removed at the end."""
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", __file__, mark, str(folder)],
             stdin=subprocess.PIPE,
@@ -111,12 +111,12 @@ class Janitor:
         )
 
     def close(self) -> None:
-        """Waits until all has ended; a second call does nothing."""
+        """Waits until all processes with the mark have ended; a second call does nothing."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()
         if not self._process.stdout.closed:
-            self._process.stdout.read()  # it ends with the last process that holds it
+            self._process.stdout.read()  # ends when the last process that holds it ends
             self._process.stdout.close()
         self._process.wait()
 
@@ -153,7 +153,7 @@ def _send(pid: int, number: signal.Signals) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if os.fork():  # no child of the caller: Ray ends the children of a worker with it
+    if os.fork():  # detach from the caller: Ray ends the children of a worker with it
         os._exit(0)
     sys.stdin.buffer.read()
     end_marked(sys.argv[1])

@@ -1,8 +1,8 @@
 """A lock that allows one simulation at a time in a ROS domain.
 
-The lock is the name of a Unix socket in Linux's abstract namespace. It needs no file: neither ``TMPDIR`` nor files of other users in ``/tmp``
-matter, and the kernel frees the name when the process ends, however it ends. Such names belong to a network namespace, like the loopback
-interface of a ROS domain: a container with a network of its own has domains of its own.
+The lock is the name of a Unix socket in Linux's abstract namespace. It needs no file: it is independent of ``TMPDIR`` and of files of other
+users in ``/tmp``, and the kernel frees the name when the process ends for any reason. Such names belong to a network namespace, like the
+loopback interface of a ROS domain: a container with its own network has its own domains.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ import struct
 from gibson_sim.errors import AlreadyRunningError, EnvironmentProblemError
 
 _CREDENTIALS = struct.Struct("3i")
-"""What SO_PEERCRED returns (unix(7)): process id, user id, group id."""
+"""Format of SO_PEERCRED (unix(7)): process id, user id, group id."""
 _BACKLOG = 4096
-"""Length of the socket's queue. Refused processes stay in it, since the holder never accepts; once it is full, errors do not name the holder."""
+"""Length of the socket's queue. Refused processes stay in it, since the holder never accepts; when it is full, errors do not name the holder."""
 
 
 class DomainLock:
-    """The lock of a ROS domain on this machine; the launcher or the physics node of its simulation holds it."""
+    """The lock of a ROS domain on this machine, held by the launcher or the physics node of its simulation."""
 
     def __init__(self, domain_id: int) -> None:
         """Acquires the lock.
 
         Raises:
             AlreadyRunningError: another process holds it; the message names the process and its user.
-            EnvironmentProblemError: this machine allows no such socket.
+            EnvironmentProblemError: this machine does not allow such a socket.
         """
         name = f"\0gibson-sim-domain-{domain_id}"
         self._socket: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -40,7 +40,7 @@ class DomainLock:
             self.close()
             if error.errno != errno.EADDRINUSE:
                 raise EnvironmentProblemError(
-                    f"the lock of ROS domain {domain_id}, the abstract Unix socket @{name[1:]}, cannot be made: {error.strerror}"
+                    f"the lock of ROS domain {domain_id}, the abstract Unix socket @{name[1:]}, cannot be created: {error.strerror}"
                 ) from error
             raise AlreadyRunningError(_refusal(domain_id, _holder(name))) from None
 
@@ -63,7 +63,7 @@ def _refusal(domain_id: int, holder: tuple[int, int] | None) -> str:
 
 
 def _holder(name: str) -> tuple[int, int] | None:
-    """Returns the ids of the process that listens at an abstract name and of its user; None if they cannot be read."""
+    """Returns the ids of the process that listens on an abstract name and of its user; None if they cannot be read."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:

@@ -1,4 +1,4 @@
-"""The environment of node processes: domain, reach, and what ROS from pip needs. Pure: it reads and returns variables."""
+"""The environment of node processes: ROS domain, reach, and variables for ROS from pip. Changes no variable of this process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim.reach import RMW_VARIABLE, apply_reach
 
 RMW = "rmw_fastrtps_cpp"
 _WHEELS_READY = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""Variable of the ROS wheels: the library path is set."""
+"""Variable by which the ROS wheels mark that the library path is set."""
 SECURITY_VARIABLE, ENCLAVE_VARIABLE = "ROS_SECURITY_ENABLE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
 
 
@@ -26,14 +26,14 @@ def node_environment(
     Args:
         environment: base environment; None = that of this process.
         domain_id: ROS domain; None = that of the environment.
-        reach: who can reach the node, see ``gibson_sim.reach``; None = by the environment, ``local`` if it does not decide.
+        reach: machines that can reach the node, see ``gibson_sim.reach``; None = from the environment, else ``local``.
 
     Raises:
         GibsonSimError: the nodes cannot work in the environment.
     """
     base = dict(os.environ if environment is None else environment)
     if in_wheels() and base.get(RMW_VARIABLE, RMW) != RMW:
-        raise EnvironmentProblemError(f"{RMW_VARIABLE} is {base[RMW_VARIABLE]!r}, but ROS from pip has {RMW} alone: unset it")
+        raise EnvironmentProblemError(f"{RMW_VARIABLE} is {base[RMW_VARIABLE]!r}, but ROS from pip has only {RMW}: unset it")
     if in_wheels() and base.get(SECURITY_VARIABLE, "").lower() == "true":
         raise EnvironmentProblemError(
             f"{SECURITY_VARIABLE} is {base[SECURITY_VARIABLE]!r}, but ROS from pip cannot encrypt (its Fast DDS has no security plugins): "
@@ -41,7 +41,7 @@ def node_environment(
         )
     _check_loopback()
     apply_reach(base, reach)
-    _leave_other_wheels(base)
+    _drop_foreign_library_path(base)
     base["PYTHONUNBUFFERED"] = "1"
     base[PARENT_VARIABLE] = str(os.getpid())
     base.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity} {message}")
@@ -51,11 +51,11 @@ def node_environment(
     return base
 
 
-def _leave_other_wheels(environment: MutableMapping[str, str]) -> None:
-    """Removes the library path of ROS from pip in another environment, from which this process was started.
+def _drop_foreign_library_path(environment: MutableMapping[str, str]) -> None:
+    """Removes the library path that ROS from pip in another Python environment, the parent of this process, has set.
 
-    Every Python with ROS from pip sets it once for itself and its children, with a mark that it is done: children of another environment
-    would see the mark and not find their libraries.
+    Every Python with ROS from pip sets the path once for itself and its children and marks this in a variable: children of another
+    environment would see the mark and not find their libraries.
     """
     folders = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
     if in_wheels() and environment.get(_WHEELS_READY) and str(Path(sys.prefix) / "lib") not in folders:
@@ -70,24 +70,24 @@ def _check_loopback() -> None:
             probe.connect(("127.0.0.1", 9))  # sends nothing
         except OSError as error:
             raise EnvironmentProblemError(
-                f"127.0.0.1 cannot be reached ({error.strerror}), by which the nodes find each other: `ip link set lo up`, or give the "
+                f"127.0.0.1 cannot be reached ({error.strerror}), which the nodes need for discovery: `ip link set lo up`, or give the "
                 "container a network"
             ) from error
 
 
 def enclave_variables(environment: Mapping[str, str], node: str) -> dict[str, str]:
-    """Returns the variable with a node's SROS2 enclave, ``/gibson_sim/<node>``; empty if SROS2 is off or an enclave is set already."""
+    """Returns the variable of a node's SROS2 enclave, ``/gibson_sim/<node>``; empty if SROS2 is off or an enclave is already set."""
     secure = environment.get(SECURITY_VARIABLE, "").lower() == "true" and not environment.get(ENCLAVE_VARIABLE)
     return {ENCLAVE_VARIABLE: f"/gibson_sim/{node}"} if secure else {}
 
 
 def in_wheels() -> bool:
-    """Returns whether rclpy comes from pip in this environment, not from a ROS installation."""
+    """Returns whether rclpy in this environment comes from pip rather than from a ROS installation."""
     return (Path(sys.prefix) / "share" / "rclpy").is_dir() or not os.environ.get("AMENT_PREFIX_PATH")
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """Returns the ROS domain.
+    """Returns the ROS domain id of an environment.
 
     Raises:
         EnvironmentProblemError: ROS_DOMAIN_ID is not a number from 0 to 231; the 232nd has too few ports.

@@ -1,6 +1,6 @@
-"""Keeps two processes from making the same output folder at a time.
+"""Prevents two processes from writing to the same output folder at the same time.
 
-The lock is one of the kernel on the folder itself (flock(2)): no file is left in it, and it ends with the process, however that ends.
+The lock is a kernel lock on the folder itself (flock(2)): it leaves no file and is released when the process ends for any reason.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def locked_folder(folder: Path, in_use: GibsonSimError) -> Iterator[None]:
-    """Creates a folder where it is missing, and keeps others that call this out of it in a block.
+    """Creates a folder if it is missing, and locks it against other callers within a block.
 
     Args:
-        folder: to be locked. Where the file system has no locks, none is made.
+        folder: folder to lock; not locked if the file system does not support locks.
         in_use: raised if another process holds the lock.
 
     Raises:
         GibsonSimError: ``in_use``.
-        WriteError: the folder cannot be made.
+        WriteError: the folder cannot be created.
     """
     try:
         try:

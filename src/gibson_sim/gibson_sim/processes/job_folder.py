@@ -1,4 +1,4 @@
-"""The temporary folder of a job of several processes: the last process to end removes it, however the launcher ended.
+"""The temporary folder of a job of several processes; the last process to end removes it, even if the launcher was killed.
 
 The launcher locks the folder through a file descriptor that its nodes inherit; the kernel frees the lock when the last of them has
 ended. A folder whose lock is free belongs to no running job.
@@ -17,32 +17,32 @@ from gibson_sim.writing import write_file
 
 PREFIX = "gibson-sim-job-"
 LOADED = "loaded"
-"""Note of the physics node that scene, robots and start are valid and loaded: JSON with ``scene``, ``robots`` and ``cameras``."""
+"""Note of the physics node after scene, robots and start are loaded and valid: JSON with ``scene``, ``robots`` and ``cameras``."""
 READY = "ready"
-"""Note of the physics node that all that the job started is ready: time begins now, or with the first request; empty."""
+"""Note of the physics node, empty, after all nodes of the job are ready: time starts now, or with the first request."""
 PAGE = "page"
 """Note of the web node: the address of its page; empty = it has ended."""
 STATUS = "{}.status"
-"""Name of the note that a node repeats once a second: JSON, for the status line."""
+"""Name of the note that a node updates once a second: JSON, for the status line."""
 VARIABLE = "GIBSON_SIM_JOB_FOLDER"
 """Environment variable of the nodes of a job: number of the inherited descriptor, a colon, and the folder."""
 
 
 class JobFolder:
-    """A new temporary folder, held by this process and by those that inherit ``descriptor``."""
+    """A new temporary folder, locked by this process and by those that inherit ``descriptor``."""
 
     def __init__(self, parent: Path | None = None) -> None:
-        """Makes the folder, after removing those of killed jobs. ``parent``: None = the system's folder of temporary files."""
+        """Creates the folder after removing those of killed jobs. ``parent``: None = the system's folder for temporary files."""
         parent = parent or Path(tempfile.gettempdir())
         remove_abandoned(parent)
-        made = Path(tempfile.mkdtemp(prefix="gibson-sim-new-", dir=parent))
-        self.descriptor = os.open(made, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        unlocked = Path(tempfile.mkdtemp(prefix="gibson-sim-new-", dir=parent))
+        self.descriptor = os.open(unlocked, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         fcntl.flock(self.descriptor, fcntl.LOCK_EX)
-        # Renamed once it is locked: another job that starts would remove an unlocked one as abandoned.
-        self.path = made.rename(made.with_name(made.name.replace("gibson-sim-new-", PREFIX)))
+        # Renamed after it is locked: another starting job would remove an unlocked folder as abandoned.
+        self.path = unlocked.rename(unlocked.with_name(unlocked.name.replace("gibson-sim-new-", PREFIX)))
 
     def add_to(self, environment: MutableMapping[str, str]) -> None:
-        """Adds the folder to the environment of the job's nodes, which must inherit ``descriptor``, too."""
+        """Adds the folder to the environment of the job's nodes, which must also inherit ``descriptor``."""
         environment[VARIABLE] = f"{self.descriptor}:{self.path}"
 
     def close(self) -> None:
@@ -67,7 +67,7 @@ def note_in_job(name: str, text: str) -> None:
 
 
 def read_note(folder: Path, name: str) -> str | None:
-    """Returns the text of a note in the folder of a job; None = there is none."""
+    """Returns the text of a note in the folder of a job; None = missing."""
     try:
         return (folder / name).read_text()
     except OSError:
@@ -75,13 +75,13 @@ def read_note(folder: Path, name: str) -> str | None:
 
 
 def note_of_job(name: str) -> str | None:
-    """Returns the text of a note of this process's job; None = there is none, or no job."""
+    """Returns the text of a note of this process's job; None = missing, or no job."""
     path = os.environ.get(VARIABLE, "").partition(":")[2]
     return read_note(Path(path), name) if path else None
 
 
 def leave_job() -> None:
-    """Releases this process's lock on the folder of its job, and removes the folder if no other process holds one."""
+    """Releases this process's lock on the folder of its job; removes the folder if no other process holds a lock."""
     number, _, path = os.environ.pop(VARIABLE, "").partition(":")
     if path:
         try:
@@ -92,7 +92,7 @@ def leave_job() -> None:
 
 
 def remove_abandoned(parent: Path) -> list[Path]:
-    """Removes the folders of this user's jobs that have no process left; returns them."""
+    """Removes the folders of this user's jobs without running processes; returns them."""
     return [path for path in parent.glob(f"{PREFIX}*") if _remove_if_free(path)]
 
 

@@ -1,4 +1,4 @@
-"""Processes of nodes: their command lines, how they are started, and how they are ended. Pure: it starts them without loading ROS."""
+"""Node processes: command lines, start and end. Does not import ROS."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from typing import Any
 from gibson_sim.interrupts import held_back
 
 PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
-"""Environment variable with the id of the process that starts a node: the node ends when that process does, however it ends."""
+"""Environment variable with the id of the process that starts a node; the node ends when that process ends for any reason."""
 GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
-"""Signals that end a node, and the wall time after which the next one is sent, seconds."""
-_ELSEWHERE = {
+"""Signals that end a node, each with the wall time until the next signal, seconds."""
+_SUBPACKAGES = {
     "foxglove_node": "foxglove.foxglove_node",
     "node_server": "trials.node_server",
     "render_bag": "recording.render_bag",
     "trial_node": "trials.trial_node",
 }
-"""Modules of nodes that stand in a folder of their own below ``gibson_sim.ros``."""
+"""Node modules in other subpackages of ``gibson_sim.ros`` than ``nodes``."""
 
 
 def command_of(module: str, *arguments: str) -> list[str]:
-    """Returns the command line that runs a module of ``gibson_sim.ros.nodes`` in a process of its own."""
-    module = _ELSEWHERE.get(module, module)
+    """Returns the command line that runs a node module of ``gibson_sim.ros`` in its own process."""
+    module = _SUBPACKAGES.get(module, module)
     return [
         sys.executable,
         "-m",
@@ -39,7 +39,7 @@ def command_of(module: str, *arguments: str) -> list[str]:
 
 
 def node_arguments(config: Any) -> list[str]:
-    """Returns the ROS arguments that pass settings to a node. JSON is valid YAML, with quotes where needed."""
+    """Returns the ROS arguments that pass settings to a node. Values are JSON, which is valid YAML."""
     arguments = ["--ros-args"]
     for f in fields(config):
         arguments += ["-p", f"{f.name}:={json.dumps(getattr(config, f.name))}"]
@@ -47,15 +47,15 @@ def node_arguments(config: Any) -> list[str]:
 
 
 def start_node(command: Sequence[str], environment: Mapping[str, str], inherit: Sequence[int] = ()) -> subprocess.Popen[str]:
-    """Starts a node in a session of its own: only the process that starts it receives Ctrl-C, and ends it.
+    """Starts a node in its own session: only the starting process receives Ctrl-C and then ends the node.
 
     Args:
         command: see ``command_of``.
-        environment: all of its variables.
-        inherit: file descriptors that it inherits.
+        environment: complete environment of the node.
+        inherit: file descriptors that the node inherits.
 
     Returns:
-        The process; its stdout, a pipe of text, has its stderr, too.
+        The process; its stdout, a text pipe, includes its stderr.
     """
     with held_back():
         return subprocess.Popen(
@@ -72,12 +72,12 @@ def start_node(command: Sequence[str], environment: Mapping[str, str], inherit: 
 
 
 def end_node(process: subprocess.Popen[str], *, interrupted: bool = False, hurry: Callable[[], bool] = lambda: False) -> None:
-    """Ends a node by one signal after the other, see ``GRACE_S``, and waits until it has ended.
+    """Ends a node with a sequence of signals, see ``GRACE_S``, and waits for its end.
 
     Args:
-        process: of the node.
-        interrupted: whether it was sent SIGINT already: a second one would end it before it has closed its files.
-        hurry: the next signal is sent early while this returns True.
+        process: process of the node.
+        interrupted: whether SIGINT was already sent: a second one would end the node before it has closed its files.
+        hurry: returns whether to send the next signal early.
     """
     for number, seconds in GRACE_S:
         if process.poll() is not None:

@@ -1,15 +1,15 @@
 """Removes shared-memory files that killed nodes left behind.
 
 For each segment or port ``x``, Fast DDS creates in ``/dev/shm`` the file ``fastrtps_x``, a lock file ``fastrtps_x_el`` on which its owner
-holds an flock while it lives, and for ports ``sem.fastrtps_x_mutex``. A process that ends after its peer was killed leaves a port
-without a lock file: dead as well, unless it is just being created.
+holds an flock while it runs, and for ports ``sem.fastrtps_x_mutex``. A process that ends after its peer was killed leaves a port
+without a lock file, which is also dead unless it is just being created.
 
-A starting participant fails if we hold its lock even for an instant, and one whose lock file was removed counts as dead for all others.
-Therefore we read the kernel's list of locks first, try a lock only if no process holds it and it is not new, hold it while we remove
-what it guards, and keep the lock file of a port, which is reused.
+A starting participant fails if we hold its lock even for an instant, and a participant without its lock file counts as dead for all others.
+Therefore we read the kernel's list of locks first, try a lock only if no process holds it and it is not new, hold it while removing
+the files that it guards, and keep the lock file of a port, which is reused.
 
-A port without a reader stays while a living process has it open for writing. The last process to close a port removes it *by name*: if we
-had removed it before, that would be the new port of a process that got the same number meanwhile, which would receive nothing from then on.
+A port without a reader is kept while a running process has it open for writing. The last process to close a port removes it *by name*: had we
+removed it earlier, this would be the new port of a process with the same number, which would receive no more messages.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SETTLED_S = 1.0
 def remove_dead_segments(folder: Path = FOLDER, *, wait: bool = True) -> list[Path]:
     """Removes the files of dead segments and ports, as far as permissions allow; returns their paths.
 
-    If ports without a lock are too young to judge, it waits for ``SETTLED_S`` and tries again, unless it shall not ``wait``.
+    If ports without a lock are too young to judge and ``wait`` is set, it waits for ``SETTLED_S`` and tries again.
     """
     removed, young = _sweep(folder)
     if young and wait:
@@ -57,12 +57,12 @@ def _sweep(folder: Path) -> tuple[list[Path], bool]:
 
 
 def _remove(guarded: list[Path], lock: Path) -> list[Path]:
-    """Removes files while holding the lock that guards them, if there is one; returns those removed, none if the lock is held."""
+    """Removes files while holding the lock that guards them, if any; returns the removed files, none if the lock is held."""
     try:
         descriptor = os.open(lock, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     except FileNotFoundError:
         return [path for path in guarded if _unlink(path)]
-    except OSError:  # someone else's
+    except OSError:  # another user's
         return []
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -76,41 +76,41 @@ def _remove(guarded: list[Path], lock: Path) -> list[Path]:
 def _unlink(path: Path) -> bool:
     try:
         path.unlink()
-    except OSError:  # gone, someone else's, or no file
+    except OSError:  # removed meanwhile, another user's, or not a file
         return False
     return True
 
 
 def _locked_files() -> frozenset[tuple[int, int]]:
-    """Returns (device, inode) of the files that visible processes hold a lock on."""
+    """Returns (device, inode) of the files locked by visible processes."""
     try:
         lines = Path("/proc/locks").read_text().splitlines()
     except OSError:
         return frozenset()
-    places = [field.split(":") for line in lines for field in line.split() if field.count(":") == 2]
-    return frozenset((os.makedev(int(major, 16), int(minor, 16)), int(inode)) for major, minor, inode in places)
+    identifiers = [field.split(":") for line in lines for field in line.split() if field.count(":") == 2]
+    return frozenset((os.makedev(int(major, 16), int(minor, 16)), int(inode)) for major, minor, inode in identifiers)
 
 
 def _mapped_files() -> frozenset[tuple[int, int]]:
     """Returns (device, inode) of the shared-memory files of Fast DDS mapped by processes whose maps are readable."""
-    found = set()
+    mapped = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         try:
             lines = maps.read_text(errors="replace").splitlines()
-        except OSError:  # gone, or someone else's, whose files we may not remove either
+        except OSError:  # ended, or another user's, whose files we may not remove either
             continue
         for fields in (line.split() for line in lines if "/fastrtps_" in line):
             major, minor = fields[3].split(":")
-            found.add((os.makedev(int(major, 16), int(minor, 16)), int(fields[4])))
-    return frozenset(found)
+            mapped.add((os.makedev(int(major, 16), int(minor, 16)), int(fields[4])))
+    return frozenset(mapped)
 
 
 def _file_of(path: Path) -> tuple[int, int]:
     try:
-        found = path.lstat()
+        status = path.lstat()
     except OSError:
         return -1, -1
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def _changed_s(path: Path) -> float:

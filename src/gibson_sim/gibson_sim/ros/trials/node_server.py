@@ -27,7 +27,7 @@ from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError, RecordError
 from gibson_sim.maps.placement import populate
-from gibson_sim.processes.descendants import below, end_all, end_marked
+from gibson_sim.processes.descendants import descendants, end_all, end_marked
 from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.standard.simulator import Simulator
@@ -122,7 +122,7 @@ class NodeServer:
                 _signal_group(process_id, request["number"])
             return None
         if request["do"] == "end rest":
-            end_all(lambda: below(os.getpid(), self._names))
+            end_all(lambda: descendants(os.getpid(), self._names))
             self._report(request["name"], 0, 0.0)
             return None
         if request["marker"]:
@@ -192,7 +192,7 @@ class NodeServer:
                 time.sleep(0.02)
         for variable, value in self._markers:
             end_marked(value, variable)
-        end_all(lambda: below(os.getpid()))
+        end_all(lambda: descendants(os.getpid()))
 
 
 def _signal_group(process_id: int, number: int) -> None:
