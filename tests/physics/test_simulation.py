@@ -135,7 +135,7 @@ def test_a_scene_that_was_loaded_and_a_robot_that_was_loaded_can_be_given() -> N
         (lambda sim: sim.spawn("ball", "a b/c"), "name is 'a b/c', must be letters, digits and _"),
         (lambda sim: sim.spawn("ball", None), "name is None, must be letters"),
         (lambda sim: sim.spawn("ball", "map"), "and not 'map'"),
-        (lambda sim: sim.restore(None), "restore takes what save returned, not None"),
+        (lambda sim: sim.restore(None), "restore takes the result of save, not None"),
         (lambda sim: setattr(sim, "light", {"sun": 1}), "light is .*, must be a LightSpec"),
         (lambda sim: sim.scan("radar"), "there is no lidar 'radar'; there are: scan"),
         (lambda sim: sim.reading("imux"), "has no sensor 'imux'; it has: scan, bumper, imu, battery_state"),
@@ -214,7 +214,7 @@ def test_a_robot_that_is_spawned_has_cameras_of_its_own_name() -> None:
         assert repr(sim) == "<Simulation flat: 0.000 s, robots robot, second, 0 bodies>"
         gone = sim.robots["second"]
         sim.remove("second")
-        assert repr(gone) == "<Robot second: no longer there>"
+        assert repr(gone) == "<Robot second: removed>"
 
 
 def test_after_its_end_it_says_so(tmp_path: Path) -> None:

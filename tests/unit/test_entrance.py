@@ -29,7 +29,7 @@ def test_every_public_name_is_there_and_explained(name: str) -> None:
 
 
 def test_names_of_the_types_are_those_that_are_loaded() -> None:
-    assert sorted(gs._HOME_OF) == sorted(gs.__all__)
+    assert sorted(gs._MODULE_OF_NAME) == sorted(gs.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'Simulaton'; did you mean 'Simulation'"):
         getattr(gs, "Simulaton")  # noqa: B009
 

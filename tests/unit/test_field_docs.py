@@ -50,7 +50,7 @@ def test_what_is_no_dataclass_stays_as_it_is() -> None:
     ("name", "line"),
     [
         ("LightSpec", "sun_color: sRGB, 0 to 1."),
-        ("CameraSpec", "fov_y: Pinhole without ``matrix``: vertical field of view, radians, in (0, pi)."),
+        ("CameraSpec", "fov_y: Vertical field of view of a pinhole camera without ``matrix``, radians, in (0, pi)."),
         ("RobotSpec", "name: "),
     ],
 )

@@ -56,13 +56,13 @@ def test_plain_yaml_is_read_as_pyyaml_reads_it(root: Path) -> None:
     [
         (BOMB, f"more than {MAX_YAML_VALUES} values"),
         (MERGE_BOMB, f"more than {MAX_YAML_VALUES} values"),
-        ("[" * 200_000, f"over more than {MAX_DEPTH} levels"),
-        ("- " * 200_000, f"over more than {MAX_DEPTH} levels"),
-        ("? " * 200_000, f"over more than {MAX_DEPTH} levels"),
-        ("- &a0 [x]\n" + "".join(f"- &a{k} [*a{k - 1}]\n" for k in range(1, 300)), f"over more than {MAX_DEPTH} levels"),
+        ("[" * 200_000, f"nested deeper than {MAX_DEPTH} levels"),
+        ("- " * 200_000, f"nested deeper than {MAX_DEPTH} levels"),
+        ("? " * 200_000, f"nested deeper than {MAX_DEPTH} levels"),
+        ("- &a0 [x]\n" + "".join(f"- &a{k} [*a{k - 1}]\n" for k in range(1, 300)), f"nested deeper than {MAX_DEPTH} levels"),
         ("a: &a [*a]", "alias 'a' holds itself"),
         ("a: *b", "alias 'b' is not defined before"),
-        ("a: 1\nb: 2\na: 3", "line 3, column 1: key 'a' is there twice"),
+        ("a: 1\nb: 2\na: 3", "line 3, column 1: key 'a' is given twice"),
         ("x: 1\n---\ny: 2", "second document"),
         ("day: 2026-99-99", "month must be in 1..12"),
         ("x: " + "9" * 5000, "a number has 5000 characters, must have at most 200"),
@@ -125,7 +125,7 @@ def test_texts_of_the_outermost_mapping_are_read_without_the_rest(text: bytes, f
     ("text", "reason"),
     [
         (b"<robot>" + b"<link/>" * MAX_XML_TAGS + b"</robot>", f"must have at most {MAX_XML_TAGS}"),
-        (b"<a>" * 1000 + b"</a>" * 1000, f"over more than {MAX_XML_DEPTH} levels"),
+        (b"<a>" * 1000 + b"</a>" * 1000, f"nested deeper than {MAX_XML_DEPTH} levels"),
         (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "XML entities"),
         ('<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE a [<!ENTITY b "c">]><a/>'.encode("utf-16"), "XML entities"),
         (b'<!DOCTYPE a [<!ATTLIST b c CDATA "d">]><a><b/></a>', "defaults of attributes"),
@@ -147,7 +147,7 @@ def test_longest_numbers_of_yaml_fit_into_a_float() -> None:
 
 def test_folders_are_listed_beside_a_deep_description() -> None:
     def refused() -> None:
-        with pytest.raises(TextError, match=f"over more than {MAX_DEPTH} levels"):
+        with pytest.raises(TextError, match=f"nested deeper than {MAX_DEPTH} levels"):
             yaml_texts(b"a: " + b"[" * 250_000, ("name",))
 
     assert _cpu_s(refused) < 1.0, "libyaml takes minutes"

@@ -50,7 +50,7 @@ def test_picture_that_does_not_fit_leaves_nothing(tmp_path: Path, name: str) -> 
 def test_full_disk_says_what_is_needed_and_what_is_free(tmp_path: Path) -> None:
     said = str(cannot_write(tmp_path / "a", OSError(errno.ENOSPC, "No space left on device"), 12_300_000))
     assert "No space left on device (needs 12.3 MB or more, free " in said
-    assert said.endswith("; make room, or give another place")
+    assert said.endswith("; free disk space, or choose another folder")
 
 
 @pytest.mark.parametrize(("size", "said"), [(0, "0 bytes"), (999, "999 bytes"), (1000, "1.0 KB"), (2_500_000_000, "2.5 GB")])

@@ -10,16 +10,16 @@
 
 Names in ``__all__`` are public: they change only with an entry in the changelog. All modules are private.
 
-Simulation      scene, robots, physics, sensors and renderer in one process; ``Robot``, ``SavedRun`` and ``Scan`` come from it
-Renderer        draws a scene at its states: all camera models, colour, depth, labels, normals, flow; needs no physics
-PhysicsWorld    physics only: commands and steps go in, poses come out
+Simulation      scene, robots, physics, sensors and renderer in one process; returns ``Robot``, ``SavedRun`` and ``Scan``
+Renderer        renders a scene at given states: all camera models, colour, depth, labels, normals, flow; without physics
+PhysicsWorld    physics without rendering: takes commands and steps, returns poses
 load_scene, load_robot, list_scenes, list_robots, list_objects, drawn_scene, camera_pose
 *Spec           descriptions of scenes, robots, bodies, cameras and light
 SceneState, Frame, ...   frozen values; ``Simulation.render`` explains what a frame holds
-GibsonSimError  and its subclasses: every error that is raised on purpose, one line each
+GibsonSimError  and its subclasses: all errors that are raised on purpose, with one-line messages
 
-SI units and radians, frames of REP 103 and REP 105, quaternions (x, y, z, w). PyBullet, OpenGL, ROS and PyTorch are loaded when they are
-needed, not when this package is imported. The tutorial is docs/python.md.
+SI units and radians, frames of REP 103 and REP 105, quaternions (x, y, z, w). PyBullet, OpenGL, ROS and PyTorch are imported on demand,
+not with this package. The tutorial is docs/python.md.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from gibson_sim.field_docs import with_field_docs
 
 __version__ = "0.1.0"
 
-_HOMES = {
+_NAMES_OF_MODULE = {
     "gibson_sim.simulation": ("Body", "Robot", "SavedRun", "Simulation"),
     "gibson_sim.render.renderer": ("Renderer",),
     "gibson_sim.physics.world": ("PhysicsWorld",),
@@ -55,8 +55,8 @@ _HOMES = {
         "RenderError", "RobotError", "SceneError", "SceneMismatchError", "SceneNotFoundError", "StartError",
     ),
 }  # fmt: skip
-"""Module -> the public names that it defines."""
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+"""Module -> public names that it defines."""
+_MODULE_OF_NAME = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
 
 if TYPE_CHECKING:
     from gibson_sim.errors import (
@@ -102,11 +102,11 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     """Loads a public name on first access."""
-    if name not in _HOME_OF:
+    if name not in _MODULE_OF_NAME:
         near = difflib.get_close_matches(name, __all__, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
-    value = globals()[name] = with_field_docs(getattr(import_module(_HOME_OF[name]), name))
+    value = globals()[name] = with_field_docs(getattr(import_module(_MODULE_OF_NAME[name]), name))
     return value
 
 

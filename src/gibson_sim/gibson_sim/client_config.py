@@ -1,4 +1,4 @@
-"""The settings of the nodes that work with a simulation, as in ``config``, and a table of the settings of every node."""
+"""Settings of the nodes that are clients of a simulation, as in ``config``, and a table of the settings of all nodes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from gibson_sim.types import OUTPUTS, Output
 DRIVES = ("tour", "forward", "square", "spin", "keyboard")
 """Names of built-in drives; any other drive is a file."""
 TASK_NAMES = ("point-goal", "push-through", "object-search", "open-door", "open-cabinet-and-fetch", "pick-and-place")
-"""Names of all tasks, as in ``tasks.registry``, which takes a second to load."""
+"""Names of all tasks, as in ``tasks.registry``, which takes a second to import."""
 TIMEOUT = "Give up if no simulation appears within this wall time; 0 = wait forever"
 _TOPIC = re.compile(r"[~/]?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
 class DriveConfig:
-    """Settings of the drive node: a client that drives the robot by standard topics."""
+    """Settings of the drive node: a client that drives the robot through standard topics."""
 
     drive: str = setting(
         "tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`", names="drive"
@@ -94,7 +94,7 @@ class RecordConfig:
             raise ConfigError(f"setting 'compression' is {self.compression!r}, must be 'none' where 'storage' is 'sqlite3'")
 
     def wanted_topics(self) -> tuple[str, ...]:
-        """Returns the names in ``topics``; none = all."""
+        """Returns the names in ``topics``; empty = all."""
         return tuple(part.strip() for part in self.topics.split(",") if part.strip())
 
 
@@ -111,7 +111,7 @@ class SnapshotConfig:
 
 @dataclass(frozen=True, slots=True)
 class RenderBagConfig:
-    """Settings of ``gibson-sim render``, which renders a recorded run again."""
+    """Settings of ``gibson-sim render``, which renders a recorded run."""
 
     bag: str = setting("", "Folder of the recorded bag")
     output: str = setting("", "Folder of the new bag; it may exist if it is empty")
@@ -169,7 +169,7 @@ class RenderBagConfig:
 
 @dataclass(frozen=True, slots=True)
 class ReplayConfig:
-    """Settings of the replay node, which sends the inputs of a recorded run to a simulation again."""
+    """Settings of the replay node, which sends the inputs of a recorded run to a simulation."""
 
     bag: str = setting("", "Folder of the recorded bag")
     lockstep: bool = setting(False, "Send every input before its step; the simulation must be in lockstep")
@@ -207,7 +207,7 @@ class TaskConfig:
 
 @dataclass(frozen=True, slots=True)
 class TrialConfig:
-    """Settings of the trial node, which gives the stack of a run its goal, and ends the run; ``gibson-sim trial`` starts it."""
+    """Settings of the trial node, which sends the goal to the stack of a run, and ends the run; ``gibson-sim trial`` starts it."""
 
     plan: str = setting("", "File of what to do, which `gibson-sim trial` writes")
     output: str = setting("", "File for a report of the run as JSON")

@@ -1,7 +1,7 @@
-"""The settings of the physics and the render node, each with its unit, limits and meaning; ``client_config`` has those of all other nodes.
+"""Settings of the physics and the render node, with units, limits and descriptions; ``client_config`` has those of the other nodes.
 
-ROS parameters (``ros/nodes/params.py``), command-line options (``cli``) and Python all fill the same dataclasses, and ``gibson-sim params
---markdown`` prints them as tables. An invalid value raises the same message everywhere.
+ROS parameters (``ros/nodes/params.py``), command-line options (``cli``) and Python fill the same dataclasses, and ``gibson-sim params
+--markdown`` prints them as tables. The error message for an invalid value is the same for all three.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gibson_sim.settings import check_settings, nearest, setting
 from gibson_sim.types import FILLS, OUTPUTS, Output, check_fill
 
 DETAIL_PX = 1.0
-"""Default of the largest error of levels of detail in the image, pixels."""
+"""Default of the maximum screen-space error of levels of detail, pixels."""
 VIEWS = (
     "Cameras that are not mounted on a robot, separated by commas: follow, orbit or top, also with a target (`follow:left`), "
     "or a YAML file of them; see docs/images.md"
@@ -211,7 +211,7 @@ class PhysicsConfig:
         return outputs_of("camera_outputs", self.camera_outputs)
 
     def wanted_fill(self) -> tuple[str, bool]:
-        """Returns what fills holes of colours in ``camera_fill``, a file by its absolute path, empty = nothing; and whether of depth, too."""
+        """Returns the fill method in ``camera_fill``, a file as absolute path, empty = none; and whether depth is filled too."""
         fill, comma, more = (part.strip() for part in self.camera_fill.partition(","))
         if more != ("depth" if comma else "") or (fill == "none" and comma):
             raise ConfigError(
@@ -227,7 +227,7 @@ class PhysicsConfig:
         return size_of("view_size", self.view_size)
 
     def wanted_subscribers(self) -> dict[str, int]:
-        """Returns the number of subscribers that each topic of ``wait_for`` must have."""
+        """Returns topic of ``wait_for`` -> required number of subscribers."""
         wanted = {}
         for part in filter(None, self.wait_for.split(",")):
             topic, _, count = part.partition(":")
@@ -250,7 +250,7 @@ def outputs_of(name: str, text: str) -> tuple[Output, ...]:
 
 
 def size_of(name: str, text: str) -> tuple[int, int]:
-    """Returns the width and the height in a setting, pixels."""
+    """Returns (width, height) in a setting, pixels."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
         raise ConfigError(f"setting {quoted(name)} is {quoted(text)}, must be WIDTHxHEIGHT, each 1 to 16384 pixels, e.g. 640x480")
@@ -309,18 +309,18 @@ class RenderConfig:
         self.asset_folders()
 
     def wanted_cameras(self) -> tuple[str, ...]:
-        """Returns the names in ``cameras``; none = all."""
+        """Returns the names in ``cameras``; empty = all."""
         return tuple(part.strip() for part in self.cameras.split(",") if part.strip())
 
     def registrations(self) -> dict[str, str]:
-        """Returns the camera that each depth camera of ``register_depth`` is registered to, by name."""
+        """Returns depth camera of ``register_depth`` -> camera that it is registered to."""
         return dict(_pairs("register_depth", self.register_depth, "depth_camera=color"))
 
     def check_cameras(self, known: Sequence[str]) -> None:
-        """Checks the names of cameras against those of a scene.
+        """Checks that the scene has the cameras that the settings name.
 
         Raises:
-            ConfigError: a setting names a camera that the scene lacks.
+            ConfigError: a setting names a camera that the scene does not have.
         """
         registrations = self.registrations()
         named = [("cameras", name) for name in self.wanted_cameras()]
@@ -334,25 +334,29 @@ class RenderConfig:
                 )
 
     def asset_folders(self) -> tuple[tuple[str, str], ...]:
-        """Returns the pairs of ``asset_roots``: absolute folders of the physics machine, and folders of this one."""
+        """Returns the pairs of ``asset_roots``: absolute folders on the physics machine, and folders on this machine."""
         pairs = _pairs("asset_roots", self.asset_roots, "/there/scenes=/here/scenes")
-        for there, here in pairs:
-            if not there.startswith("/"):
-                raise ConfigError(f"setting 'asset_roots' has {quoted(there)}, must be an absolute folder of the physics machine")
-            if not Path(os.path.expanduser(here)).is_dir():
-                raise ConfigError(f"setting 'asset_roots' maps {there} to {quoted(here)}, which is not a folder of this machine")
-        return tuple((there, str(Path(os.path.expanduser(here)))) for there, here in pairs)
+        for remote, local in pairs:
+            if not remote.startswith("/"):
+                raise ConfigError(
+                    f"setting 'asset_roots' has {quoted(remote)}, must be an absolute folder of the physics machine"
+                )
+            if not Path(os.path.expanduser(local)).is_dir():
+                raise ConfigError(
+                    f"setting 'asset_roots' maps {remote} to {quoted(local)}, which is not a folder of this machine"
+                )
+        return tuple((remote, str(Path(os.path.expanduser(local)))) for remote, local in pairs)
 
 
 def _pairs(name: str, text: str, example: str) -> tuple[tuple[str, str], ...]:
-    """Returns the pairs left and right of the equals signs in a setting."""
-    found: list[tuple[str, str]] = []
+    """Returns the (left, right) pairs of the ``left=right`` items in a setting."""
+    pairs: list[tuple[str, str]] = []
     for part in (part.strip() for part in text.split(",")):
         left, equals, right = (word.strip() for word in part.partition("="))
         if part and (not (left and equals and right) or "=" in right):
             raise ConfigError(f"setting {quoted(name)} has {quoted(part)}, must be pairs separated by commas, e.g. {example}")
-        if any(left == other for other, _ in found):
+        if any(left == other for other, _ in pairs):
             raise ConfigError(f"setting {quoted(name)} has {quoted(left)} twice; it may be left of one equals sign only")
         if part:
-            found.append((left, right))
-    return tuple(found)
+            pairs.append((left, right))
+    return tuple(pairs)

@@ -1,4 +1,4 @@
-"""Digests of values, which are equal if the values are equal to the bit."""
+"""Digests of values; equal digests mean bit-equal values."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 STAMP_FIELD = "stamp_ns"
-"""Name of fields that do not count: a run that is repeated later is the same run."""
+"""Name of fields that are excluded, so that a repeated run has the same digests."""
 
 
 def digest_of(value: Any) -> int:
-    """Returns the first eight bytes of BLAKE2b of a value, as an unsigned number of 64 bits.
+    """Returns the first eight bytes of BLAKE2b of a value, as an unsigned 64-bit integer.
 
-    Arrays count with type, shape and every bit, so 0.0 differs from -0.0, and one NaN from another. Dataclasses count with their fields
-    other than ``stamp_ns``, mappings in their order; tuples, lists, numbers, strings, bytes and None are the other types.
+    Arrays are hashed with type, shape and all bits, so 0.0 differs from -0.0, and one NaN from another. Dataclasses are hashed by their fields
+    except ``stamp_ns``, mappings in their order; the other supported types are tuples, lists, numbers, strings, bytes and None.
 
     Raises:
-        TypeError: the value holds another type.
+        TypeError: the value contains another type.
     """
     digest = hashlib.blake2b(digest_size=8)
     _feed(digest, value)
@@ -29,7 +29,7 @@ def digest_of(value: Any) -> int:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Adds a value in a way that values of different structure never yield the same bytes."""
+    """Adds a value in an unambiguous encoding: values of different structure never yield the same bytes."""
     if isinstance(value, np.ndarray):
         digest.update(f"a{value.dtype.str}{value.shape}".encode())
         digest.update(np.ascontiguousarray(value).data)

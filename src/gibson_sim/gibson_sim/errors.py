@@ -1,30 +1,30 @@
-"""The errors that this package raises on purpose.
+"""Errors that this package raises on purpose.
 
     GibsonSimError                 the base class; its message is one line for a user
       TextError                    a text is neither YAML nor XML, or too large
       ConfigError                  a setting has an invalid value
-        trials.scenario.load.ScenarioError  a scenario file has mistakes, or cannot be met
+        trials.scenario.load.ScenarioError  a scenario file is invalid, or cannot be met
       SceneError                   a scene cannot be loaded
-        SceneNotFoundError         a path leads to nothing, or to nothing that can be read
-        MeshError                  a mesh or a texture file is broken
+        SceneNotFoundError         a file does not exist, or is not a scene
+        MeshError                  a mesh or a texture file is corrupt
         scenes.spawning.SpawnError a resource cannot be spawned; its code is the reason
         scenes.worlds.WorldError   a world cannot be listed or loaded; its code is the reason
       RobotError                   a robot description cannot be used
       CommandError                 a command cannot be executed (a NaN velocity)
-      PhysicsError                 the physics engine refused
+      PhysicsError                 the physics engine rejected a request
         StartError                 a robot would start in collision
-      RenderError                  the renderer refused
+      RenderError                  the renderer cannot render
         GraphicsUnavailableError   no EGL, no usable device
-        SceneMismatchError         a state belongs to another scene than the loaded one
+        SceneMismatchError         a state does not belong to the loaded scene
       ScanError                    images of a scan cannot be read, written or fused; in gibson_sim_tools.scanning
       RecordError                  a bag cannot be written or read
-        bags.folders.DiskFullError the disk is full; the bag holds everything before
+        bags.folders.DiskFullError the disk is full; the bag contains all earlier messages
       WriteError                   a file cannot be written
-      EnvironmentProblemError      ROS, Python or the machine lacks something; the text names the remedy
-      AlreadyRunningError          another simulation owns this ROS domain
-      LockstepError                a participant of lockstep is gone, or hangs
+      EnvironmentProblemError      a component of ROS, Python or the machine is missing; the message names the remedy
+      AlreadyRunningError          another simulation uses this ROS domain
+      LockstepError                a lockstep participant has exited or hangs
 
-Messages say what, which value, what is allowed and what to do. They may quote a file; ``public`` never does. Imports ``quoting`` alone.
+Messages name the object, the value, the allowed values and the remedy. They may quote a file; ``public`` never does. Imports only ``quoting``.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from typing import TypeVar
 from gibson_sim.quoting import clipped
 
 _MAX_LENGTH = 4000
-"""Characters of a message."""
+"""Maximum length of a message, characters."""
 _Error = TypeVar("_Error", bound="GibsonSimError")
 
 
 class GibsonSimError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base class of all errors that this package raises on purpose."""
 
     public = ""
     """Message for clients that may see neither the files that the message quotes nor their paths; empty = none."""
 
     def __init__(self, message: str = "", *more: object) -> None:
-        """Keeps the message in one line of limited length, since it may quote names and paths from untrusted files."""
+        """Limits the message to one line of limited length, since it may quote names and paths from untrusted files."""
         text = str(message)
         super().__init__(text if len(text) <= _MAX_LENGTH and text.isprintable() else clipped(text, _MAX_LENGTH), *more)
 
@@ -68,11 +68,11 @@ class SceneError(GibsonSimError):
 
 
 class SceneNotFoundError(SceneError):
-    """A path leads to nothing, or to nothing that can be read as a scene."""
+    """A file does not exist, or is not a scene."""
 
 
 class MeshError(SceneError):
-    """A mesh or a texture file is broken."""
+    """A mesh or a texture file is corrupt."""
 
 
 class RobotError(GibsonSimError):
@@ -84,7 +84,7 @@ class CommandError(GibsonSimError):
 
 
 class PhysicsError(GibsonSimError):
-    """The physics engine refused."""
+    """The physics engine rejected a request."""
 
 
 class StartError(PhysicsError):
@@ -92,7 +92,7 @@ class StartError(PhysicsError):
 
 
 class RenderError(GibsonSimError):
-    """The renderer refused."""
+    """The renderer cannot render."""
 
 
 class GraphicsUnavailableError(RenderError):
@@ -100,7 +100,7 @@ class GraphicsUnavailableError(RenderError):
 
 
 class SceneMismatchError(RenderError):
-    """A state belongs to another scene than the loaded one."""
+    """A state does not belong to the loaded scene."""
 
 
 class RecordError(GibsonSimError):
@@ -108,15 +108,15 @@ class RecordError(GibsonSimError):
 
 
 class WriteError(GibsonSimError):
-    """A file cannot be written, because the disk is full or the folder is read-only, for example."""
+    """A file cannot be written, for example because the disk is full or the folder is read-only."""
 
 
 class EnvironmentProblemError(GibsonSimError):
-    """ROS, Python or the machine lacks something; the message names the remedy."""
+    """A component of ROS, Python or the machine is missing; the message names the remedy."""
 
 
 class AlreadyRunningError(GibsonSimError):
-    """Another simulation owns this ROS domain."""
+    """Another simulation uses this ROS domain."""
 
 
 class LockstepError(GibsonSimError):
@@ -127,21 +127,21 @@ _PIP_NAMES = {
     "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "foxglove": "foxglove-sdk", "pxr": "usd-core", "ruamel": "ruamel-yaml",
     "yaml": "PyYAML",
 }  # fmt: skip
-"""Module -> package of PyPI, where the names differ."""
-_OURS = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench", "gibson_path_following")
-_OF_ROS = ("rclpy", "rpyutils", "ament_index_python", "launch", "launch_ros")
+"""Module -> PyPI package, where the names differ."""
+_OWN_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench", "gibson_path_following")
+_ROS_PACKAGES = ("rclpy", "rpyutils", "ament_index_python", "launch", "launch_ros")
 
 
 def missing_package(error: ImportError) -> EnvironmentProblemError | None:
-    """Returns the error for a user of a package that is not installed, with its remedy; None if the code itself is at fault.
+    """Returns the error for a package that is not installed, with its remedy; None if the import failed for another reason.
 
     Args:
-        error: of an import statement.
+        error: error of an import statement.
     """
     module = (error.name or "").partition(".")[0]
-    if not isinstance(error, ModuleNotFoundError) or not module or module in _OURS:
+    if not isinstance(error, ModuleNotFoundError) or not module or module in _OWN_PACKAGES:
         return None
-    if module in _OF_ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
+    if module in _ROS_PACKAGES or module.endswith(("_msgs", "_interfaces", "_srvs")):
         apt = "" if module == "gibson_msgs" else f"`sudo apt install ros-jazzy-{module.replace('_', '-')}`, or "
         return EnvironmentProblemError(
             f"the ROS package {module} is not found: {apt}build ros_ws and source its install/setup.bash; without a ROS installation: `make setup`"

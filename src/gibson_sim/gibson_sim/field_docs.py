@@ -1,6 +1,6 @@
-"""Field docstrings of dataclasses in ``help``: Python drops them when it compiles a class, so they are read from the source.
+"""Adds the field docstrings of dataclasses to ``help``: Python discards them, so they are parsed from the source.
 
-They are read when ``__doc__`` is accessed, so that importing costs nothing. Imports no other part of the package.
+They are parsed when ``__doc__`` is accessed, not at import. Imports no other module of the package.
 """
 
 from __future__ import annotations
@@ -15,32 +15,32 @@ class _DocWithFields:
 
     def __init__(self, text: str) -> None:
         self._text = text
-        self._whole = ""
+        self._full_text = ""
 
     def __get__(self, instance: object, owner: type) -> str:
-        if not self._whole:
+        if not self._full_text:
             from inspect import cleandoc
 
             fields = field_docs(owner)
             lines = [cleandoc(self._text), *(("", "Attributes:") if fields else ())]
-            self._whole = "\n".join([*lines, *(f"    {name}: {text}" for name, text in fields.items())])
-        return self._whole
+            self._full_text = "\n".join([*lines, *(f"    {name}: {text}" for name, text in fields.items())])
+        return self._full_text
 
 
 def with_field_docs(value: T) -> T:
-    """Returns the value itself; ``help`` of a dataclass explains its fields from then on."""
+    """Adds the field docstrings to ``help`` of a dataclass; returns the value itself, other values unchanged."""
     if isinstance(value, type) and hasattr(value, "__dataclass_fields__") and isinstance(value.__dict__.get("__doc__"), str):
         value.__doc__ = _DocWithFields(value.__dict__["__doc__"])  # type: ignore[assignment]
     return value
 
 
 def field_docs(cls: type) -> dict[str, str]:
-    """Returns the docstring of each field of a dataclass that has one, by name, those of its bases first; none without the source."""
+    """Returns field name -> docstring of a dataclass, those of its bases first; empty if the source is not available."""
     import ast
     import inspect
     import sys
 
-    found: dict[str, str] = {}
+    docs: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         if not hasattr(base, "__dataclass_fields__"):
             continue
@@ -53,5 +53,5 @@ def field_docs(cls: type) -> dict[str, str]:
                 for pair in zip(node.body, node.body[1:], strict=False):
                     match pair:
                         case (ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text)))):
-                            found[name] = " ".join(text.split())
-    return found
+                            docs[name] = " ".join(text.split())
+    return docs

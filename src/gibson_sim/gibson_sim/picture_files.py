@@ -1,4 +1,4 @@
-"""Writes images and arrays through ``writing``; OpenCV's own function reports a full disk by a warning without a reason."""
+"""Writes images and arrays through ``writing``, since OpenCV's function reports a full disk only by a warning without a reason."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gibson_sim.errors import WriteError
 from gibson_sim.writing import write_file
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
-"""Suffixes that messages propose for images."""
+"""Image suffixes that error messages suggest."""
 _JPEG_QUALITY = 88
 """Default quality of JPEG images, 1 to 100."""
 
@@ -30,16 +30,16 @@ def write_picture(path: str | Path, pixels: NDArray[Any], options: Sequence[int]
         durable: as for ``write_file``.
 
     Raises:
-        WriteError: the file cannot be written, or its suffix is that of no format.
+        WriteError: the file cannot be written, or its suffix is not that of an image format.
     """
     path = Path(path)
     if options is None:
         options = (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY) if path.suffix.lower() in (".jpg", ".jpeg") else ()
     try:
-        done, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels), list(options))
+        encoded, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels), list(options))
     except cv2.error:
-        done, data = False, np.zeros(0, dtype=np.uint8)
-    if not done:
+        encoded, data = False, np.zeros(0, dtype=np.uint8)
+    if not encoded:
         raise WriteError(
             f"cannot write {path}: its suffix is that of no image format; the name must end in {', '.join(SUFFIXES)}"
         )

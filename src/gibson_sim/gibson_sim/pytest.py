@@ -1,4 +1,4 @@
-"""The pytest plugin: the fixture ``sim`` gives a test a running simulation without a window, in a ROS domain of its own.
+"""The pytest plugin: the fixture ``sim`` provides a running headless simulation in its own ROS domain.
 
     import pytest
 
@@ -9,8 +9,8 @@
         sim.wait_until(lambda: sim.robot_pose().distance_to(1.0, 4.7) < 0.25, timeout=60)
         assert not sim.contacts
 
-pytest loads this module in every session of an environment with Gibson Sim: everything else is imported when a test uses the fixture. The tutorial
-is docs/testing_your_robot.md.
+pytest loads this module in every session of an environment with Gibson Sim: the rest of the package is imported when a test uses the fixture.
+The tutorial is docs/testing_your_robot.md.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from gibson_sim.testing.pool import SimulationPool
 
 _DOMAINS = "simulation_domains"
-"""Option of pytest's configuration."""
+"""Name of the option in pytest's configuration."""
 _SIMULATION: pytest.StashKey[HeadlessSimulation] = pytest.StashKey()
-"""The simulation of a test, for its report."""
+"""Key of the simulation of a test, for its report."""
 _MARKER = (
     "simulation(**settings): settings of the fixture `sim`: scene='flat', robot='gibson_bot', start='x,y,yaw_deg', seed=0, lockstep=True, "
     "cameras=False, record=False, fresh=False, and every other one that `gibson-sim params` lists"
@@ -65,7 +65,7 @@ def _simulation_pool(pytestconfig: pytest.Config) -> Iterator[SimulationPool]:
 
 @pytest.fixture
 def simulation_settings() -> dict[str, Any]:
-    """Settings of all simulations; override it in a conftest.py. Those of the marker come before these."""
+    """Settings of all simulations; override it in a conftest.py. Settings of the marker take precedence."""
     return {}
 
 
@@ -76,23 +76,23 @@ def sim(
     _simulation_pool: SimulationPool,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[HeadlessSimulation]:
-    """A simulation at its start, with the settings of ``@pytest.mark.simulation(...)``.
+    """A simulation in its initial state, with the settings of ``@pytest.mark.simulation(...)``.
 
-    Tests with the same settings share one process, which is reset in between: a reset restores everything. The variables of this process are those of
-    the simulation's domain during the test, so nodes that the test makes find it, too.
+    Tests with the same settings share one process, which is reset between tests; a reset restores the whole initial state. During the test, the
+    environment variables of this process select the simulation's domain, so that nodes created by the test discover it.
     """
     from gibson_sim.errors import GibsonSimError
     from gibson_sim.testing.processes import variables_set
 
-    given = dict(simulation_settings)
+    settings = dict(simulation_settings)
     for mark in reversed(list(request.node.iter_markers("simulation"))):
         if mark.args:
             pytest.fail("the marker `simulation` takes settings by name only, such as scene='flat'", pytrace=False)
-        given.update(mark.kwargs)
-    bag = tmp_path_factory.mktemp("simulation") / "bag" if given.get("record") else tmp_path_factory.getbasetemp() / "no_bag"
+        settings.update(mark.kwargs)
+    bag = tmp_path_factory.mktemp("simulation") / "bag" if settings.get("record") else tmp_path_factory.getbasetemp() / "no_bag"
     simulation, reason = None, ""
     try:
-        simulation = _simulation_pool.take(given, bag)
+        simulation = _simulation_pool.acquire(settings, bag)
     except GibsonSimError as error:
         reason = str(error)
     if simulation is None:
@@ -102,12 +102,12 @@ def sim(
         with variables_set(simulation.environment):
             yield simulation
     finally:
-        _simulation_pool.give_back(simulation)
+        _simulation_pool.release(simulation)
 
 
 @pytest.fixture(scope="session")
 def simulation_factory(_simulation_pool: SimulationPool) -> Callable[..., HeadlessSimulation]:
-    """Starts further simulations: ``simulation_factory(scene="arena")``. Each is a context manager, and ends with the session at the latest."""
+    """Starts further simulations: ``simulation_factory(scene="arena")``. Each is a context manager, and is closed at the latest with the session."""
 
     def start(**settings: Any) -> HeadlessSimulation:
         from pathlib import Path
@@ -120,7 +120,7 @@ def simulation_factory(_simulation_pool: SimulationPool) -> Callable[..., Headle
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
-    """Adds to the report of a failed test what its simulation and its programs said."""
+    """Adds the output of the simulation and its programs to the report of a failed test."""
     outcome = yield
     report = outcome.get_result()
     simulation = item.stash.get(_SIMULATION, None)

@@ -1,4 +1,4 @@
-"""Quotes untrusted values in messages, always briefly and in one line."""
+"""Quotes untrusted values in messages, in one line of limited length."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import math
 import reprlib
 
 LONGEST = 80
-"""Largest length of a quoted text, or of the quoted items of a list or mapping, characters."""
+"""Default maximum length of a quoted value, characters."""
 _LONGEST_NUMBER_BITS = 200
-"""Largest whole number that is written out, bits."""
+"""Maximum size of an integer that is written out, bits."""
 
 
 class _Brief(reprlib.Repr):
-    """A ``repr`` limited to a few values on a few levels: a list of YAML aliases can represent more values than fit into memory."""
+    """A ``repr`` of limited size and depth: a list of YAML aliases can represent more values than fit into memory."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -20,7 +20,7 @@ class _Brief(reprlib.Repr):
         self.maxstring = self.maxother = LONGEST
 
     def repr_int(self, x: int, level: int) -> str:
-        # Python refuses to write out more than 4300 digits.
+        # Python raises for more than 4300 digits.
         if x.bit_length() > _LONGEST_NUMBER_BITS:
             return f"a whole number of {int(x.bit_length() * math.log10(2)) + 1} digits"
         return repr(x)
@@ -40,14 +40,14 @@ def quoted(value: object, longest: int = LONGEST) -> str:
 
 
 def clipped(text: str, longest: int) -> str:
-    """Returns a text in one line of about ``longest`` characters, without its middle if it is longer, with control characters escaped."""
-    line = _plain(text[: 4 * longest])
+    """Returns a text in one line of at most about ``longest`` characters, shortened in the middle, with control characters escaped."""
+    line = _printable(text[: 4 * longest])
     if len(line) <= longest and len(text) <= 4 * longest:
         return line
-    return f"{line[: longest // 2]} ... {_plain(text[-longest // 2 :])}"
+    return f"{line[: longest // 2]} ... {_printable(text[-longest // 2 :])}"
 
 
-def _plain(text: str) -> str:
-    """Returns a text in one line, with characters escaped that would move a terminal's cursor or change its colours."""
+def _printable(text: str) -> str:
+    """Returns a text in one line, with control characters, which could move a terminal's cursor or change its colours, escaped."""
     line = " ".join(text.split())
     return line if line.isprintable() else "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

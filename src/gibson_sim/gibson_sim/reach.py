@@ -1,8 +1,8 @@
-"""The reach of a simulation, that is who can see and command it: environment variables for the DDS profile and the discovery range.
+"""The reach of a simulation: the machines that can see and command it, set by environment variables for DDS profile and discovery range.
 
-``local``: processes of this machine. Sockets are bound to 127.0.0.1 (``config/fastdds_local.xml``). Discovery range ``LOCALHOST`` alone is
-not enough: rmw_fastrtps then listens on all interfaces and admits every machine that names this one in ``ROS_STATIC_PEERS``.
-``subnet``: every machine of the network, which is the default of ROS (``config/fastdds.xml``).
+``local``: only this machine. Sockets are bound to 127.0.0.1 (``config/fastdds_local.xml``). The discovery range ``LOCALHOST`` is not
+sufficient: rmw_fastrtps then listens on all interfaces and accepts any machine that names this one in ``ROS_STATIC_PEERS``.
+``subnet``: all machines of the network, the default of ROS (``config/fastdds.xml``).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 RMW_VARIABLE = "RMW_IMPLEMENTATION"
 FAST_DDS = "rmw_fastrtps"
-"""Prefix of the ROS middlewares based on Fast DDS, among them the default of Jazzy."""
+"""Prefix of the RMW implementations based on Fast DDS, such as the default of Jazzy."""
 _PROFILES = {LOCAL: "fastdds_local.xml", SUBNET: "fastdds.xml"}
-_DECIDING = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_ENVIRONMENT_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-"""Variables by which a user decides the reach of a process."""
+_DISCOVERY_VARIABLES = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_ENVIRONMENT_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+"""Variables with which a user sets the reach of a process."""
 
 
 def profile_of(reach: str) -> Path:
@@ -31,11 +31,11 @@ def profile_of(reach: str) -> Path:
 
 
 def reach_of(environment: Mapping[str, str], requested: str | None = None) -> str:
-    """Returns the reach, ``local`` or ``subnet``; empty if the environment decides it.
+    """Returns the reach, ``local`` or ``subnet``; empty if the environment determines it.
 
     Args:
         environment: environment of the process that starts the simulation.
-        requested: the requested reach; None = that of the environment, or ``local`` if the environment does not decide.
+        requested: the requested reach; None = that of the environment, by default ``local``.
     """
     if requested is not None:
         return requested
@@ -46,14 +46,14 @@ def reach_of(environment: Mapping[str, str], requested: str | None = None) -> st
 
 
 def reach_variables(environment: Mapping[str, str], requested: str | None = None) -> dict[str, str]:
-    """Returns the variables that a process needs for a reach in addition to its environment; an empty one must be unset.
+    """Returns the variables to set for a reach; variables with an empty value must be unset.
 
     Args:
         environment: as for ``reach_of``.
         requested: as for ``reach_of``.
 
     Raises:
-        ConfigError: ``requested`` is not a reach, or the middleware of the environment does not support it.
+        ConfigError: ``requested`` is invalid, or the middleware of the environment does not support it.
     """
     if requested is not None and requested not in REACHES:
         raise ConfigError(f"reach is {requested!r}, must be one of {', '.join(REACHES)}")
@@ -75,7 +75,7 @@ def reach_variables(environment: Mapping[str, str], requested: str | None = None
             "SKIP_DEFAULT_XML_FILE": "1",  # else a profile in the current folder would be used
             "ROS_LOCALHOST_ONLY": "",
             "ROS_SUPER_CLIENT": "",
-            **dict.fromkeys(_DECIDING, ""),
+            **dict.fromkeys(_DISCOVERY_VARIABLES, ""),
         }
     variables = {RANGE_VARIABLE: "SUBNET", "ROS_LOCALHOST_ONLY": ""}
     return variables if own_profile else {PROFILE_VARIABLE: str(profile_of(SUBNET)), **variables}
@@ -116,7 +116,7 @@ def is_local(environment: Mapping[str, str]) -> bool:
 
 def _decided_by(environment: Mapping[str, str]) -> str:
     """Returns the first variable that decides the reach, with its value; empty if none does."""
-    names = (*_DECIDING, *([PROFILE_VARIABLE] if _foreign_profile(environment) else []))
+    names = (*_DISCOVERY_VARIABLES, *([PROFILE_VARIABLE] if _foreign_profile(environment) else []))
     return next((f"{name}={environment[name]}" for name in names if environment.get(name)), "")
 
 

@@ -1,7 +1,7 @@
-"""Reads untrusted files, YAML and XML within limits. All other modules read through this one.
+"""Reads untrusted files, YAML and XML within limits. All other modules use it to read files.
 
-A path may lead to a pipe, which blocks, to an endless device, or to a text of 500 bytes whose aliases expand to more values than fit into
-memory. All limits are checked before any value is built.
+A path may be a pipe, which blocks, an endless device, or a YAML text of 500 bytes whose aliases expand to more values than fit into memory.
+All limits are checked before any value is constructed.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from gibson_sim.errors import TextError
 from gibson_sim.quoting import clipped, quoted
 
 MAX_TEXT_BYTES = 32 * 2**20
-"""Size of a description that is read as text."""
+"""Maximum size of a description, bytes."""
 MAX_YAML_BYTES = 8 * 2**20
 MAX_YAML_VALUES = 150_000
-"""Values of a YAML text; an alias counts as all values that it stands for."""
+"""Maximum number of values of a YAML text; an alias counts as all values that it expands to."""
 MAX_DEPTH = 100
-"""Levels of nested lists and mappings of a YAML text."""
+"""Maximum nesting depth of lists and mappings of a YAML text."""
 MAX_XML_TAGS = 300_000
-"""Tags of an XML text; an element has one or two."""
+"""Maximum number of tags of an XML text; an element has one or two."""
 MAX_XML_ATTRIBUTES = 500_000
-"""Attributes of an XML text."""
+"""Maximum number of attributes of an XML text."""
 MAX_XML_DEPTH = 200
-"""Levels of nested elements of an XML text."""
+"""Maximum nesting depth of elements of an XML text."""
 YAML_LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""The parser of libyaml, if PyYAML has it, which takes a tenth of the time; else PyYAML's own."""
+"""The loader of libyaml if PyYAML has it, which is ten times as fast; else the pure Python loader."""
 _LONGEST_REASON = 200
-"""Characters of a parser's message that are quoted."""
+"""Maximum length of a quoted parser message, characters."""
 _LONGEST_NUMBER = 200
-"""Characters of a number in YAML, which then fits into a float in any base."""
+"""Maximum length of a number in YAML, characters, so that it fits into a float in any base."""
 _NUMBERS = frozenset(f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
-_NOTHING = ("~", "null", "Null", "NULL")
-"""Null values of YAML."""
+_NULL = ("~", "null", "Null", "NULL")
+"""Spellings of null in YAML."""
 _MEGA = 2**20
 _CHUNK = 65536
-"""Bytes that are read at once."""
+"""Size of a read, bytes."""
 
 
 def read_file(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
@@ -66,7 +66,7 @@ def read_file(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
     with open(descriptor, "rb") as file:
         parts = [file.read(status.st_size) or b""]
         size = len(parts[0])
-        # A file of /proc reports no size, and a file that another process writes can grow.
+        # Files of /proc report size 0, and a file that another process writes can grow.
         while more := file.read(_CHUNK):
             parts.append(more)
             size += len(more)
@@ -118,7 +118,7 @@ def exists(path: Path) -> bool:
 def real_path(path: Path) -> Path:
     """Returns a path with symbolic links resolved, except for the link of a file whose target has another suffix.
 
-    The suffix decides how a file is read, and files in a store of blobs, to which an installation can link, have none.
+    The suffix determines the format of a file, and the blobs to which an installation may link have no suffix.
     """
     real = Path(os.path.realpath(path))
     if not path.suffix or path.suffix.lower() == real.suffix.lower() or not is_file(real):
@@ -127,10 +127,10 @@ def real_path(path: Path) -> Path:
 
 
 def check_status(status: os.stat_result, most: int) -> None:
-    """Checks the status of a file before it is read.
+    """Checks the status of a file before reading.
 
     Raises:
-        OSError: it is not a regular file, or has more than ``most`` bytes.
+        OSError: the file is not a regular file, or has more than ``most`` bytes.
     """
     if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "is not a regular file")
@@ -153,10 +153,10 @@ def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
 
     Args:
         text: the YAML with one document.
-        loader: a loader of PyYAML, for more tags.
+        loader: a PyYAML loader, for additional tags.
 
     Raises:
-        TextError: the text is not YAML, or too large; the message lacks the name of the file, which the caller adds.
+        TextError: the text is not YAML, or too large; the caller adds the name of the file to the message.
     """
     if len(text) > MAX_YAML_BYTES:
         reason = f"has {len(text) / _MEGA:.0f} MB of YAML, must have at most {MAX_YAML_BYTES // _MEGA} MB"
@@ -164,39 +164,39 @@ def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
     try:
         parser = loader(text)
     except (yaml.YAMLError, ValueError) as error:
-        raise _no_yaml(error) from error
+        raise _yaml_error(error) from error
     try:
         node = _Composer(parser).document()
         return None if node is None else parser.construct_document(node)
     # A date with month 13, a number of 5000 digits, bytes that are not text.
     except (yaml.YAMLError, ValueError, OverflowError, TypeError, LookupError, AttributeError, RecursionError) as error:
-        raise _no_yaml(error) from error
+        raise _yaml_error(error) from error
     finally:
         parser.dispose()
 
 
 def yaml_texts(text: bytes, keys: Collection[str], *, cut: bool = False) -> dict[str, str]:
-    """Returns the texts and numbers of some keys of the outermost mapping, as written, without building the document.
+    """Returns the scalars of some keys of the outermost mapping, as strings, without constructing the document.
 
-    It stops at the last of the keys; errors behind it are not found.
+    It stops after the last of the keys; later errors are not detected.
 
     Args:
         text: the YAML.
         keys: the keys.
-        cut: whether the text may be cut off: at an error, the values before it are returned.
+        cut: whether the text may be truncated: on an error, the values before it are returned.
 
     Raises:
-        TextError: the text is not YAML up to where it was read.
+        TextError: the part of the text that was read is not YAML.
     """
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     try:
         parser = YAML_LOADER(text)
     except (yaml.YAMLError, ValueError) as error:
-        raise _no_yaml(error) from error
+        raise _yaml_error(error) from error
     depth, count, key = 0, 0, ""
     """Number of open lists and mappings; number of keys and values of the outermost mapping so far; its last key."""
     try:
-        while len(found) < len(keys):
+        while len(texts) < len(keys):
             event = parser.get_event()
             if event is None or isinstance(event, yaml.StreamEndEvent):
                 break
@@ -209,21 +209,21 @@ def yaml_texts(text: bytes, keys: Collection[str], *, cut: bool = False) -> dict
             if isinstance(event, yaml.CollectionStartEvent):
                 key = "" if depth == 1 and count % 2 == 0 else key
                 depth += 1
-                if depth > MAX_DEPTH:  # libyaml checks all open collections at each further one
+                if depth > MAX_DEPTH:  # the time of libyaml grows with the square of the depth
                     raise _too_deep(event)
             elif depth == 1 and isinstance(event, yaml.NodeEvent):
                 scalar = event if isinstance(event, yaml.ScalarEvent) else None
                 value = "" if scalar is None else scalar.value
                 if count % 2 == 0:
                     key = value
-                elif scalar is not None and key in keys and value and not (scalar.implicit[0] and value in _NOTHING):
-                    found[key] = value
+                elif scalar is not None and key in keys and value and not (scalar.implicit[0] and value in _NULL):
+                    texts[key] = value
                 count += 1
-        return found
+        return texts
     except (yaml.YAMLError, ValueError) as error:
         if cut:
-            return found
-        raise _no_yaml(error) from error
+            return texts
+        raise _yaml_error(error) from error
     finally:
         parser.dispose()
 
@@ -232,7 +232,7 @@ def parse_xml(text: bytes) -> ElementTree.Element:
     """Returns the outermost element of an XML text.
 
     Raises:
-        TextError: the text is not XML, or too large; the message lacks the name of the file, which the caller adds.
+        TextError: the text is not XML, or too large; the caller adds the name of the file to the message.
     """
     if len(text) > MAX_TEXT_BYTES:
         reason = f"has {len(text) / _MEGA:.0f} MB of XML, must have at most {MAX_TEXT_BYTES // _MEGA} MB"
@@ -245,15 +245,15 @@ def parse_xml(text: bytes) -> ElementTree.Element:
     if attributes > MAX_XML_ATTRIBUTES:
         reason = f"has about {attributes} attributes of XML, must have at most {MAX_XML_ATTRIBUTES}; split it"
         raise TextError(reason).with_public(reason)
-    # Both let a few bytes expand to many: an entity at each reference, a default in every element without that attribute.
+    # Reject constructs that expand a few bytes to many: entities, and attribute defaults.
     plain = text.replace(b"\0", b"") if b"\0" in text[:4] else text
     for mark, what in ((b"<!ENTITY", "entities"), (b"<!ATTLIST", "defaults of attributes")):
         if mark in plain:
-            reason = f"defines XML {what}, which are not read; write out what they stand for"
+            reason = f"defines XML {what}, which are not supported; write out their values"
             raise TextError(reason).with_public(reason)
     try:
         top = ElementTree.fromstring(text)
-    # A ValueError or LookupError: a declared encoding that the text does not have.
+    # ValueError, LookupError: wrong or unknown declared encoding.
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise TextError(f"is not well-formed XML: {clipped(str(error), _LONGEST_REASON)}").with_public(
             "is not well-formed XML"
@@ -262,7 +262,7 @@ def parse_xml(text: bytes) -> ElementTree.Element:
     while level:
         depth += 1
         if depth > MAX_XML_DEPTH:
-            reason = f"has elements within elements over more than {MAX_XML_DEPTH} levels"
+            reason = f"has elements that are nested deeper than {MAX_XML_DEPTH} levels"
             raise TextError(reason).with_public(reason)
         level = [child for element in level for child in element]
     return top
@@ -272,7 +272,7 @@ def _too_large(size: str, most: int) -> str:
     return f"is too large: it has {size}, must have at most {most / _MEGA:g} MB"
 
 
-def _no_yaml(error: Exception) -> TextError:
+def _yaml_error(error: Exception) -> TextError:
     mark = getattr(error, "problem_mark", None)
     at = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
     reason = clipped(str(getattr(error, "problem", None) or error), _LONGEST_REASON)
@@ -282,7 +282,7 @@ def _no_yaml(error: Exception) -> TextError:
 
 
 class _OpenCollection:
-    """A list or a mapping while its values are read."""
+    """A list or a mapping whose values are being read."""
 
     def __init__(self, node: Any, anchor: str | None) -> None:
         self.node, self.anchor, self.size, self.height = node, anchor, 1, 1
@@ -291,19 +291,19 @@ class _OpenCollection:
 
 
 class _Composer:
-    """Composes the nodes of a document from its events, as PyYAML's composer does, but without recursion and within limits.
+    """Composes the nodes of a document from its events, like PyYAML's composer, but without recursion and within limits.
 
-    libyaml's own composer recurses in C, so that 200 KB of ``[`` crash the process.
+    The composer of libyaml recurses in C, so that 200 KB of ``[`` crash the process.
     """
 
     def __init__(self, parser: Any) -> None:
         self._parser = parser
         self._anchors: dict[str, tuple[Any, int, int]] = {}
-        """Anchor -> its node, the number of its values and of its levels."""
+        """Anchor -> (node, number of values, number of levels)."""
         self._open: list[_OpenCollection] = []
 
     def document(self) -> Any:
-        """Returns the node of the only document, None if there is none."""
+        """Returns the node of the only document, None for an empty text."""
         parser = self._parser
         root: Any = None
         documents = 0
@@ -317,21 +317,21 @@ class _Composer:
                 if documents > 1:
                     raise yaml.MarkedYAMLError(problem="there is a second document", problem_mark=start)
                 self._anchors.clear()
-            done = self._compose(event)
-            if done is not None and not self._open:
-                root = done
+            completed = self._compose(event)
+            if completed is not None and not self._open:
+                root = completed
 
     def _compose(self, event: Any) -> Any:
-        """Handles an event; returns the node that it completes, which is part of its collection already, or None."""
+        """Handles an event; returns the node that it completes, which is already added to its collection, or None."""
         start, end = event.start_mark, event.end_mark
         anchor: Any = getattr(event, "anchor", None)
         if isinstance(event, yaml.AliasEvent):
-            known = self._anchors.get(anchor)
-            if known is None:
+            anchored = self._anchors.get(anchor)
+            if anchored is None:
                 within = any(entry.anchor == anchor for entry in self._open)
                 reason = "holds itself" if within else "is not defined before"
                 raise yaml.MarkedYAMLError(problem=f"alias {quoted(anchor)} {reason}", problem_mark=start)
-            return self._put(*known, event)
+            return self._put(*anchored, event)
         if isinstance(event, yaml.ScalarEvent):
             node: Any = yaml.ScalarNode(self._tag(yaml.ScalarNode, event, event.value), event.value, start, end)
             if node.tag in _NUMBERS and len(event.value) > _LONGEST_NUMBER:
@@ -364,27 +364,25 @@ class _Composer:
         """Adds a node to the innermost open list or mapping."""
         if not self._open:
             return node
-        above = self._open[-1]
-        above.size += size
-        above.height = max(above.height, height + 1)
-        if above.size > MAX_YAML_VALUES:
-            raise _TooMuchError(
-                f"holds more than {MAX_YAML_VALUES} values, each alias counted as what it stands for", event.start_mark
-            )
+        parent = self._open[-1]
+        parent.size += size
+        parent.height = max(parent.height, height + 1)
+        if parent.size > MAX_YAML_VALUES:
+            raise _TooMuchError(f"holds more than {MAX_YAML_VALUES} values, with aliases expanded", event.start_mark)
         if len(self._open) + height > MAX_DEPTH:
             raise _too_deep(event)
-        if isinstance(above.node, yaml.SequenceNode):
-            above.node.value.append(node)
-        elif above.key is None:
-            above.key = node
+        if isinstance(parent.node, yaml.SequenceNode):
+            parent.node.value.append(node)
+        elif parent.key is None:
+            parent.key = node
             if isinstance(node, yaml.ScalarNode):
-                if (node.tag, node.value) in above.keys:
-                    problem = f"key {quoted(node.value)} is there twice"
+                if (node.tag, node.value) in parent.keys:
+                    problem = f"key {quoted(node.value)} is given twice"
                     raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
-                above.keys.add((node.tag, node.value))
+                parent.keys.add((node.tag, node.value))
         else:
-            above.node.value.append((above.key, node))
-            above.key = None
+            parent.node.value.append((parent.key, node))
+            parent.key = None
         return node
 
 
@@ -394,4 +392,4 @@ class _TooMuchError(yaml.MarkedYAMLError):
 
 
 def _too_deep(event: Any) -> _TooMuchError:
-    return _TooMuchError(f"has lists and mappings within each other over more than {MAX_DEPTH} levels", event.start_mark)
+    return _TooMuchError(f"has lists and mappings that are nested deeper than {MAX_DEPTH} levels", event.start_mark)

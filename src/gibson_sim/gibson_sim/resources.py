@@ -1,9 +1,9 @@
-"""Finds scenes, configuration files and other data by name, and the folders of caches.
+"""Finds scenes, configuration files and other data by name, and cache folders.
 
 A name that starts with ``/``, ``./``, ``../`` or ``~`` is a path. Any other name is searched in this order: below every folder of
 ``$GIBSON_SIM_PATH`` (separated by colons); in the ROS installations of ``$AMENT_PREFIX_PATH``; where pip has installed this package
 (``<prefix>/share/gibson_sim``), and in the Python installation; in the source tree of an editable installation; in the current folder.
-Imports ``errors``, ``quoting`` and ``reading`` alone.
+Imports only ``errors``, ``quoting`` and ``reading``.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ PACKAGE = "gibson_sim"
 PATH_VARIABLE = "GIBSON_SIM_PATH"
 _CONFIG_SUFFIXES = ("", ".yaml", ".yml", ".param.yaml")
 _OBJECTS = "objects"
-"""Folder beside the scenes that is not a scene."""
+"""Folder of objects beside the scenes, which is not a scene."""
 
 
 def share_folders() -> tuple[Path, ...]:
-    """Returns the existing folders that may hold ``scenes/``, ``config/``, ``robots/`` and ``objects/``, by precedence."""
+    """Returns the existing folders that may contain ``scenes/``, ``config/``, ``robots/`` and ``objects/``, in order of precedence."""
     candidates = [Path(os.path.expanduser(entry)) for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
     prefixes = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
     prefixes += [*_installation_prefixes(Path(__file__).resolve()), Path(sys.prefix)]
     candidates += [_unlinked(prefix / "share" / PACKAGE) for prefix in prefixes]
     candidates += [p for p in Path(__file__).resolve().parents if is_folder(p / "config") and is_folder(p / "scenes")]
-    found: list[Path] = []
+    shares: list[Path] = []
     for folder in candidates:
         # The Python package has a folder `scenes` too, but is not a share folder.
-        if is_folder(folder) and not exists(folder / "__init__.py") and folder not in found:
-            found.append(folder)
-    return tuple(found)
+        if is_folder(folder) and not exists(folder / "__init__.py") and folder not in shares:
+            shares.append(folder)
+    return tuple(shares)
 
 
 def _installation_prefixes(module: Path) -> list[Path]:
-    """Returns the prefix below which pip has installed ``module``; empty for a source tree.
+    """Returns the installation prefix of ``module``; empty for a source tree.
 
-    It differs from that of Python after ``pip install --user``, and on Debian outside of virtual environments.
+    It differs from ``sys.prefix`` after ``pip install --user``, and on Debian outside of virtual environments.
     """
     site = module.parents[1]
     return [site.parents[2]] if site.name in ("site-packages", "dist-packages") else []
 
 
 def _unlinked(share: Path) -> Path:
-    """Returns the source tree if ``share`` consists of links to its folders, so that every file has one path; else ``share``."""
+    """Returns the source tree if ``share`` consists of symbolic links to its folders, so that every file has a unique path; else ``share``."""
     links = [share / "config", share / "scenes"]
     trees = {link.resolve().parent for link in links if link.is_symlink()}
     return trees.pop() if len(trees) == 1 and all(link.is_symlink() for link in links) else share
@@ -60,8 +60,8 @@ def find_scene(name_or_path: str | Path) -> Path:
     """Returns the folder or the file of a scene.
 
     Args:
-        name_or_path: a folder, a world or mesh file, or the name of a folder under ``scenes/`` of a share folder. Folders of
-            ``$GIBSON_SIM_PATH`` may also hold scenes directly.
+        name_or_path: a folder, a world or mesh file, or the name of a folder in ``scenes/`` of a share folder. Folders of
+            ``$GIBSON_SIM_PATH`` may also contain scenes directly.
 
     Raises:
         SceneNotFoundError: the scene does not exist; the message names the searched folders and the most similar scene.
@@ -73,7 +73,7 @@ def find_config(name_or_path: str | Path, kind: str = "") -> Path:
     """Returns a configuration file.
 
     Args:
-        name_or_path: a file, or the name of one, with or without ``.yaml``, under ``config/<kind>`` of a share folder.
+        name_or_path: a file, or the name of a file in ``config/<kind>`` of a share folder, with or without ``.yaml``.
         kind: subfolder of ``config``, such as ``presets``; empty = ``config`` itself.
 
     Raises:
@@ -98,17 +98,17 @@ def find_robot(name_or_path: str | Path) -> Path:
 
 
 def list_scenes() -> list[str]:
-    """Returns the names of all scenes that are found without a path, in alphabetical order."""
+    """Returns the names of all installed scenes, in alphabetical order."""
     return sorted(known_scenes())
 
 
 def list_robots() -> list[str]:
-    """Returns the names of all robots that are found without a path, in alphabetical order."""
+    """Returns the names of all installed robots, in alphabetical order."""
     return sorted(set(_names(_robot_folders())))
 
 
 def known_objects() -> list[str]:
-    """Returns the names of all objects of the catalogue that are found without a path, in alphabetical order. Reads none of them."""
+    """Returns the names of all installed objects of the catalogue, in alphabetical order, without reading them."""
     folders = [
         folder for share in share_folders() for folder in (share / "scenes" / _OBJECTS, share / _OBJECTS) if is_folder(folder)
     ]
@@ -118,17 +118,17 @@ def known_objects() -> list[str]:
 
 
 def known_scenes() -> dict[str, Path]:
-    """Returns the folder of every scene that is found without a path, by name."""
-    found: dict[str, Path] = {}
+    """Returns name -> folder of all installed scenes."""
+    scenes: dict[str, Path] = {}
     for folder in _folders("scenes"):
         for entry in sorted(folder.iterdir()) if is_folder(folder) else ():
             if is_file(entry / "scene.yaml"):
-                found.setdefault(entry.name, entry)
-    return found
+                scenes.setdefault(entry.name, entry)
+    return scenes
 
 
 def cache_folder(kind: str) -> Path:
-    """Returns the cache folder of a kind, ``$XDG_CACHE_HOME/gibson-sim/<kind>`` or the same below ``~/.cache``, which may not exist yet."""
+    """Returns the cache folder of a kind, ``$XDG_CACHE_HOME/gibson-sim/<kind>``, by default below ``~/.cache``; it may not exist yet."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / kind
 
@@ -148,8 +148,8 @@ def _find(
     text = str(name_or_path)
     if not text.strip():
         raise error(f"{what}: the name is empty; give a name or a path")
-    path = Path(os.path.expanduser(text))  # unlike pathlib, it leaves the home of an unknown user as it is
-    # A bare name is a name first: a folder of that name in the current directory must not hide an installed scene.
+    path = Path(os.path.expanduser(text))  # unlike pathlib, does not raise for the home of an unknown user
+    # Names take precedence over relative paths: a folder in the current directory must not shadow an installed scene.
     is_path = path.is_absolute() or text.startswith(("./", "../", "~")) or text in (".", "..")
     if is_path:
         if exists(path):
@@ -158,7 +158,7 @@ def _find(
     for folder in folders:
         for suffix in suffixes or ("",):
             candidate = folder / (text + suffix)
-            # The name must not lead out of the folder, but a link in it may, as an installation can consist of links.
+            # The name must not escape the folder, but a symbolic link in it may, since an installation can consist of links.
             if exists(candidate) and Path(os.path.normpath(candidate)).is_relative_to(os.path.normpath(folder)):
                 return real_path(candidate)
     if exists(path):

@@ -1,4 +1,4 @@
-"""Settings as fields of dataclasses with default, unit, limits and meaning, and their checks."""
+"""Settings as dataclass fields with default, unit, limits and description, and their validation."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gibson_sim.quoting import quoted
 
 Value = bool | int | float | str
 Names = Literal["", "scene", "robots", "drive", "rules", "views", "file", "participants"]
-"""Kind of name in the text of a setting; "" = no name that can be looked up."""
+"""Kind of the name that a text setting contains; "" = none that can be looked up."""
 
 
 class Settings(Protocol):
-    """A frozen dataclass whose fields were made with ``setting``."""
+    """A frozen dataclass whose fields are created with ``setting``."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
@@ -32,16 +32,16 @@ def setting(
     choices: tuple[str, ...] = (),
     names: Names = "",
 ) -> Any:
-    """Returns a dataclass field of a setting, whose type is that of its default.
+    """Returns the dataclass field of a setting, whose type is that of its default.
 
     Args:
         default: the default value.
-        doc: meaning of the setting, one sentence.
+        doc: description of the setting, one sentence.
         unit: unit of the value, such as ``m``; empty = none.
-        minimum: least value of a number.
-        maximum: largest value of a number.
-        choices: allowed values of a text; none = any.
-        names: kind of name in the text, which the command line looks up before anything starts; an empty text names nothing.
+        minimum: minimum of a number.
+        maximum: maximum of a number.
+        choices: allowed values of a text; empty = any.
+        names: kind of the name in the text, which the command line validates before it starts processes; an empty text is valid.
     """
     return field(
         default=default,
@@ -53,7 +53,7 @@ def check_settings(settings: Settings) -> None:
     """Checks type, limits and choices of every field.
 
     Raises:
-        ConfigError: a value is not allowed; the message names the field, its value and the allowed ones.
+        ConfigError: a value is not allowed; the message names the field, its value and the allowed values.
     """
     for f in fields(settings):
         value, what = getattr(settings, f.name), f"setting {quoted(f.name)}"
@@ -73,7 +73,7 @@ def check_settings(settings: Settings) -> None:
 
 
 def limits_of(f: Field[Any]) -> str:
-    """Returns the limits of a setting with their unit in words; the unit alone if there are no limits."""
+    """Returns the limits of a setting with their unit as text; only the unit if there are no limits."""
     low, high, unit = f.metadata["minimum"], f.metadata["maximum"], f.metadata["unit"]
     if math.isinf(low) and math.isinf(high):
         return str(unit)
@@ -82,6 +82,6 @@ def limits_of(f: Field[Any]) -> str:
 
 
 def nearest(text: str, known: Sequence[str]) -> str:
-    """Returns ``did you mean 'x'?`` with the known text that is most similar to a text; empty if none is similar."""
-    found = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
-    return f"did you mean {quoted(found[0])}?" if found else ""
+    """Returns ``did you mean 'x'?`` with the most similar known text; empty if none is similar."""
+    matches = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
+    return f"did you mean {quoted(matches[0])}?" if matches else ""

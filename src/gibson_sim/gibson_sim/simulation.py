@@ -67,15 +67,15 @@ T = TypeVar("T", bound=_Named)
 V = TypeVar("V")
 _DEFAULTS = PhysicsConfig()
 _NEVER_S = 1e9
-"""Command timeout when none is given, seconds of simulation time: longer than any run."""
+"""Command timeout if none is given, seconds of simulation time: longer than any run."""
 
 
 @dataclass(frozen=True)
 class SavedRun:
-    """A saved moment of a simulation: all inputs since its beginning. ``Simulation.restore`` returns to it."""
+    """A saved state of a simulation: all inputs since its beginning. ``Simulation.restore`` restores it."""
 
     step: int
-    """Physics steps since the beginning."""
+    """Number of physics steps since the beginning."""
     inputs: tuple[tuple[int, str, tuple[Any, ...]], ...]
     """(step, method, arguments) of each call that changed the simulation."""
     of: tuple[Any, ...] = ()
@@ -83,7 +83,7 @@ class SavedRun:
 
 
 class Body:
-    """A robot or another body of a simulation. Its properties are present values, in SI units, world frame unless noted."""
+    """A robot or another body of a simulation. Its properties are current values, in SI units, in the world frame unless noted."""
 
     def __init__(self, world: PhysicsWorld, name: str) -> None:
         self._world, self.name = world, name
@@ -100,7 +100,7 @@ class Body:
 
     @property
     def joints(self) -> JointStates:
-        """Positions and velocities of its moving joints, radians or metres, and per second; a door has one, a box none."""
+        """Positions and velocities of its moving joints, radians or metres, and per second; a door has one joint, a box none."""
         return self._world.joint_states(self.name)
 
     @property
@@ -114,15 +114,15 @@ class Body:
             x, y, _ = self.pose.position
             return f"<{kind} {self.name}: x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(self.yaw):.1f} deg>"
         except GibsonSimError:
-            return f"<{kind} {self.name}: no longer there>"
+            return f"<{kind} {self.name}: removed>"
 
 
 class Robot(Body):
-    """A robot of a simulation. Its properties are present values, in SI units, world frame unless noted."""
+    """A robot of a simulation. Its properties are current values, in SI units, in the world frame unless noted."""
 
     @property
     def spec(self) -> RobotSpec:
-        """Its description: drive, sensors, cameras, size."""
+        """Description: drive, sensors, cameras, size."""
         return next(robot for robot in self._world.scene.robots if robot.name == self.name)
 
     @property
@@ -171,23 +171,23 @@ class Simulation:
         view_size: tuple[int, int] = (640, 480),
         device: int | str | None = None,
     ) -> None:
-        """Loads scene and robots. OpenGL is loaded with the first ``render``.
+        """Loads scene and robots. OpenGL is loaded by the first ``render``.
 
         Args:
             scene: name, folder, world or mesh file, as for ``gibson-sim run --scene``; or a loaded scene, whose robots are kept.
             robot: name, file or spec; several as ``left=gibson_bot,right=gibson_bot``; None = only the robots of the scene.
-            start: name of a start pose (``scene.starts``), or ``x,y,yaw_deg`` as text or numbers; of several robots as text, separated by
-                ``;``. Empty = the scene's first.
-            seed: of the errors of all sensors and of odometry, 0 or more.
+            start: name of a start pose (``scene.starts``), or ``x,y,yaw_deg`` as text or numbers; for several robots as text, separated by
+                ``;``. Empty = the first start pose of the scene.
+            seed: seed of the errors of all sensors and of odometry, 0 or more.
             step_hz: physics steps per second of simulation time.
             publish_hz: rate of the ticks at which bumpers measure, Hz; must divide ``step_hz``. None = 60, or ``step_hz`` if 60 does not
                 divide it.
-            cmd_vel_timeout: seconds of simulation time after which a velocity command expires, as on a real robot; None = it holds until the
-                next one.
+            cmd_vel_timeout: seconds of simulation time after which a velocity command expires, as on a real robot; None = it is valid until
+                the next one.
             views: additional chase cameras, such as ``follow,top,orbit``, or a file of cameras; ``render`` accepts ``follow`` or
                 ``view_follow`` as a name.
             view_size: width and height of the views, pixels.
-            device: EGL device that draws, number or UUID as ``gibson-sim doctor`` lists them; None = a GPU if one works, else software.
+            device: EGL device that renders, number or UUID as listed by ``gibson-sim doctor``; None = a GPU if one works, else software.
 
         Raises:
             GibsonSimError: scene, robot or a setting cannot be used; the message names the value, what is allowed and the remedy.
@@ -216,53 +216,53 @@ class Simulation:
         self._view_specs = read_views(views, _view_size(view_size))
         self._renderer: Renderer | None = None
         self._loaded: DrawnScene | None = None
-        """The scene that the renderer has loaded."""
+        """Scene that the renderer has loaded."""
         self._drawn: tuple[int, LightSpec, DrawnScene, Views] | None = None
         self._light = loaded.light
         self._suites: dict[str, SensorSuite] = {}
         self._measures_in_step: dict[str, Callable[[str], bool]] = {}
-        """By robot: whether ``step`` measures a sensor of a name."""
+        """Robot -> predicate: whether ``step`` measures the sensor of a name."""
         self._readings: dict[tuple[str, str], Reading] = {}
         self._inputs: list[tuple[int, str, tuple[Any, ...]]] = []
         self._closed = False
         timeout = _NEVER_S if cmd_vel_timeout is None else cmd_vel_timeout
         self._command_timeout = timeout
         self.world = PhysicsWorld(loaded, step_hz=step_hz, cmd_vel_timeout=timeout, seed=seed)
-        """The physics world, for what this class does not cover: grasping, rays, joint efforts, attachments."""
+        """The physics world, for functions that this class does not have: grasping, rays, joint efforts, attachments."""
         try:
             self._add_suites()
         except BaseException:
             self.close()
             raise
 
-    # What there is
+    # Content
 
     @property
     def scene(self) -> SceneSpec:
-        """The present scene, with all robots and bodies that were spawned, without those that were removed."""
+        """The current scene, including spawned and excluding removed robots and bodies."""
         return self.world.scene
 
     @property
     def robots(self) -> Mapping[str, Robot]:
-        """The robots by name, in their order; a name that is not there raises CommandError."""
+        """Robots by name, in their order; an unknown name raises CommandError."""
         return _ByName("robot", {robot.name: Robot(self.world, robot.name) for robot in self.world.scene.robots})
 
     @property
     def bodies(self) -> Mapping[str, Body]:
-        """All bodies other than robots, such as doors and chairs, by name; ``command_joints`` moves their joints.
+        """Bodies other than robots, such as doors and chairs, by name; ``command_joints`` moves their joints.
 
-        A name that is not there raises CommandError.
+        An unknown name raises CommandError.
         """
         return _ByName("body", {body.name: Body(self.world, body.name) for body in self.world.scene.bodies})
 
     @property
     def semantic_classes(self) -> tuple[str, ...]:
-        """Class names by their number in ``Frame.semantic``; numbers may change when a body of a new class is spawned."""
+        """Class names by their index in ``Frame.semantic``; indices may change when a body of a new class is spawned."""
         return self._drawn_now()[0].semantic_classes
 
     @property
     def instances(self) -> tuple[str, ...]:
-        """Names of static visuals and bodies by their number in ``Frame.instance``; 0 = nothing."""
+        """Names of static visuals and bodies by their index in ``Frame.instance``; 0 = nothing."""
         return self._drawn_now()[0].instances
 
     @property
@@ -281,7 +281,7 @@ class Simulation:
 
     @property
     def state(self) -> SceneState:
-        """Present poses and velocities of all links; its arrays are read-only copies."""
+        """Current poses and velocities of all links; its arrays are read-only copies."""
         return self.world.state()
 
     @property
@@ -292,14 +292,14 @@ class Simulation:
     # Time
 
     def step(self, *, seconds: float | None = None, steps: int | None = None) -> SceneState:
-        """Makes physics steps, and returns the state after them. Sensors measure at each step at which they are due.
+        """Executes physics steps, and returns the state after them. Sensors measure at each step at which they are due.
 
         Args:
-            seconds: simulation time; must be a whole number of physics steps (``1 / step_hz``), within a millionth of one.
+            seconds: simulation time; must be a whole number of physics steps (``1 / step_hz``), within a millionth of a step.
             steps: number of physics steps; give this or ``seconds``. Neither = one step.
 
         Raises:
-            ConfigError: both are given, or the number of steps is not a whole number, 0 or more; the message names the nearest ones.
+            ConfigError: both are given, or the number of steps is not a whole number, 0 or more; the message names the nearest valid values.
         """
         count = self._steps(seconds, steps)
         try:
@@ -327,18 +327,18 @@ class Simulation:
                 _number(what, value)
         count = float(1 if steps is None else steps) if seconds is None else seconds * self.world.step_hz
         if not (math.isfinite(count) and count >= 0 and abs(count - round(count)) < 1e-6):
-            given = f"{steps} steps" if seconds is None else f"{seconds:g} s, {count:g} steps of 1/{self.world.step_hz} s"
+            requested = f"{steps} steps" if seconds is None else f"{seconds:g} s, {count:g} steps of 1/{self.world.step_hz} s"
             hint = self._nearest_steps(count) if math.isfinite(count) else ""
-            raise ConfigError(f"step by {given}: must be a finite whole number of steps, 0 or more{hint}")
+            raise ConfigError(f"step by {requested}: must be a finite whole number of steps, 0 or more{hint}")
         return round(count)
 
     def _nearest_steps(self, count: float) -> str:
-        """Returns the nearest allowed numbers of steps, with their seconds, for an error message."""
+        """Returns the nearest valid numbers of steps, with their seconds, for an error message."""
         allowed = sorted({max(0, math.floor(count)), max(0, math.ceil(count))})
         return "; nearest: " + " or ".join(f"steps={steps} ({steps / self.world.step_hz:g} s)" for steps in allowed)
 
     def reset(self) -> SceneState:
-        """Restarts at time 0 with the initial robots and bodies; what follows is bit-equal to a new simulation."""
+        """Restarts at time 0 with the initial robots and bodies; the following states are bit-equal to those of a new simulation."""
         world = self.world
         world.repopulate(self._initial.robots, self._initial.bodies)
         world.set_step_count(0)
@@ -350,26 +350,26 @@ class Simulation:
         return world.state()
 
     def save(self) -> SavedRun:
-        """Returns the present moment for ``restore``: all inputs since the beginning, a few numbers for each call."""
+        """Returns the current state for ``restore``: all inputs since the beginning, a few numbers for each call."""
         self._check_open()
         return SavedRun(self.world.step_count, tuple(self._inputs), self._identity())
 
     def restore(self, saved: SavedRun) -> SceneState:
-        """Returns to a saved moment exactly, including contacts, the internal state of joints and motors, and errors of sensors.
+        """Restores a saved state exactly, including contacts, the internal state of joints and motors, and sensor errors.
 
-        It resets, and replays all inputs, which takes as long as those steps took. Calls on ``world`` itself are not replayed.
+        It resets and replays all inputs, which takes as long as the original steps. Direct calls of ``world`` are not replayed.
 
         Args:
-            saved: from this simulation, or from one with equal arguments.
+            saved: result of ``save`` of this simulation, or of one with equal arguments.
 
         Raises:
-            ConfigError: it is from a simulation with another scene, robot or setting; nothing has changed.
+            ConfigError: it is from a simulation with another scene, robot or setting; the simulation is unchanged.
         """
         if not isinstance(saved, SavedRun):
-            raise ConfigError(f"restore takes what save returned, not {quoted(saved)}")
+            raise ConfigError(f"restore takes the result of save, not {quoted(saved)}")
         if saved.of != self._identity():
             raise ConfigError(
-                "what was saved belongs to another simulation: scene, robots, step_hz, cmd_vel_timeout and seed must be equal"
+                "the saved run belongs to another simulation: scene, robots, step_hz, cmd_vel_timeout and seed must be equal"
             )
         self.reset()
         for step, method, arguments in saved.inputs:
@@ -383,20 +383,20 @@ class Simulation:
         """Commands the velocity of a robot from the next step on, until the next command or ``cmd_vel_timeout``; the drive limits it.
 
         Args:
-            linear: m/s, forward.
-            angular: rad/s, counter-clockwise.
-            lateral: m/s, to the left; other than 0 for omnidirectional drives only.
-            robot: its name; None = the first one.
+            linear: forward velocity, m/s.
+            angular: yaw rate, rad/s, counter-clockwise.
+            lateral: velocity to the left, m/s; must be 0 except for omnidirectional drives.
+            robot: name of the robot; None = the first robot.
 
         Raises:
-            CommandError: a number is not finite, the robot does not exist, or its drive cannot do that.
+            CommandError: a number is not finite, the robot does not exist, or its drive cannot execute the command.
         """
         self._check_open()
         name = self._robot_name(robot)
         linear, angular, lateral = _number("linear", linear), _number("angular", angular), _number("lateral", lateral)
         velocity = VelocityCommand((linear, lateral, 0.0), (0.0, 0.0, angular), self.world.stamp_ns)
         drive = self.robots[name].spec.drive
-        # Over ROS, `linear.y` of a Twist is ignored instead: teleoperation nodes send one message to robots of all kinds.
+        # Over ROS, `linear.y` of a Twist is ignored instead, since teleoperation nodes send the same message to all kinds of robots.
         if lateral and drive is not None and drive.kind != "omni":
             raise CommandError(
                 f"robot {quoted(name)} has a drive of type {drive.kind}, which cannot move sideways: lateral is {lateral:g} m/s, must be 0"
@@ -427,12 +427,12 @@ class Simulation:
 
         Args:
             uri: name of a built-in object (``gibson_sim.list_objects``) or robot, or a URDF, SDF, robot.yaml or mesh file.
-            name: its new name: letters, digits and _, a letter first. Cameras of a robot are named ``<name>/<camera>``.
-            position: of its root link, metres, world frame.
-            yaw: about the world's z axis, radians.
+            name: name of the new body: letters, digits and _, a letter first. Cameras of a robot are named ``<name>/<camera>``.
+            position: position of its root link, metres, world frame.
+            yaw: rotation about the world's z axis, radians.
 
         Raises:
-            SceneError: it cannot be loaded; the message names the file and what is wrong.
+            SceneError: the resource cannot be loaded; the message names the file and the error.
             PhysicsError: the name is in use, or a robot would overlap another body.
         """
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) or name == WORLD_FRAME:
@@ -445,7 +445,7 @@ class Simulation:
     def move(self, name: str, position: Vec3, yaw: float = 0.0) -> None:
         """Sets the pose of a robot or a body, upright and at rest.
 
-        The place is not checked: a body that then overlaps a wall or another body is pushed out by the next steps.
+        The pose is not checked for collisions: an overlapping body is pushed out by the next steps.
 
         Args:
             name: robot or body.
@@ -472,14 +472,14 @@ class Simulation:
     # Sensors
 
     def scan(self, lidar: str = "", robot: str | None = None) -> Scan:
-        """Returns a scan of a planar lidar now, with its errors; over ROS the same is published at the lidar's rate.
+        """Returns a scan of a planar lidar at the current time, with its errors; ROS nodes publish the same scan at the lidar's rate.
 
         Args:
-            lidar: its name; empty = the robot's first.
-            robot: its name; None = the first one.
+            lidar: name of the lidar; empty = the first lidar of the robot.
+            robot: name of the robot; None = the first robot.
 
         Raises:
-            ConfigError: the robot has no such lidar.
+            ConfigError: the robot does not have the lidar.
         """
         self._check_open()
         name = self._robot_name(robot)
@@ -490,20 +490,20 @@ class Simulation:
         """Returns the last reading of an IMU, a bumper or the battery.
 
         Args:
-            sensor: its name, such as ``imu``.
-            robot: its name; None = the first one.
+            sensor: name of the sensor, such as ``imu``.
+            robot: name of the robot; None = the first robot.
 
         Raises:
             ConfigError: the sensor does not exist, or it has not measured yet.
         """
         name = self._robot_name(robot)
-        found = self._readings.get((name, sensor))
-        if found is None:
+        last_reading = self._readings.get((name, sensor))
+        if last_reading is None:
             known = list(self._suites[name].misses)
             if sensor in known:
                 raise ConfigError(f"sensor {quoted(sensor)} of robot {quoted(name)} has not measured yet: step first")
             raise ConfigError(f"robot {quoted(name)} has no sensor {quoted(sensor)}; it has: {', '.join(known) or 'none'}")
-        return found
+        return last_reading
 
     # Cameras
 
@@ -525,10 +525,10 @@ class Simulation:
 
     @property
     def renderer(self) -> Renderer:
-        """The renderer, with the present scene; opened on first access.
+        """The renderer, with the current scene; created on first access.
 
         Raises:
-            RenderError: no EGL device can draw, or another thread has drawn before.
+            RenderError: no EGL device can render, or another thread has rendered before.
         """
         return self._renderer_of(self._drawn_now()[0])
 
@@ -540,13 +540,13 @@ class Simulation:
         *,
         fill: str | None = None,
     ) -> Frame:
-        """Returns the image of a camera at the present state.
+        """Returns the image of a camera at the current state.
 
         Args:
-            camera: name of a camera or a view, or a camera of your own; empty = the first one.
+            camera: name of a camera or a view, or a camera spec; empty = the first camera.
             outputs: one or several of ``gibson_sim.OUTPUTS``; None = those of the camera's spec.
-            previous: an earlier state, which ``flow`` needs; with it, cameras with a shutter have motion blur.
-            fill: what fills holes of the colours: ``push_pull``, ``learned``, the path of an ONNX file, empty = nothing; None = as the
+            previous: an earlier state, which ``flow`` and motion blur of cameras with a shutter need.
+            fill: method that fills holes of the colours: ``push_pull``, ``learned``, the path of an ONNX file, empty = none; None = as the
                 camera's spec has it.
 
         Returns:

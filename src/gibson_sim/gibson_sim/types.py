@@ -1,7 +1,7 @@
-"""The values that the parts of the simulator exchange: frozen, and checked when they are created.
+"""Values that are exchanged between the parts of the simulator: frozen, and validated at construction.
 
 Conventions: metres, radians, seconds (REP 103); time is a whole number of nanoseconds since the scene was loaded;
-quaternions are ``(x, y, z, w)``; ``T_a_b`` takes coordinates in b to coordinates in a. Knows neither ROS, PyBullet nor OpenGL.
+quaternions are ``(x, y, z, w)``; ``T_a_b`` maps coordinates in b to coordinates in a. Must import neither ROS, PyBullet nor OpenGL.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ DISTORTIONS: dict[Projection, dict[str, tuple[int, ...]]] = {
     "fisheye": {"equidistant": (4,)},
     "equirectangular": {},
 }
-"""Projection -> ``distortion_model`` of camera_info -> allowed lengths of its ``d``."""
+"""Projection -> ``distortion_model`` of camera_info -> allowed lengths of ``d``."""
 FARTHEST_M = 1e4
-"""Greatest coordinate of what a client or a user puts anywhere, m: beyond it, images and contacts in single precision get rough."""
+"""Maximum absolute coordinate of objects, m: beyond it, single precision is insufficient for images and contacts."""
 NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A rigid transform, parent from child: a position in metres and a unit quaternion ``(x, y, z, w)``."""
+    """A rigid transform T_parent_child: a position in metres and a unit quaternion ``(x, y, z, w)``."""
 
     position: Vec3 = (0.0, 0.0, 0.0)
     quat_xyzw: Quat = (0.0, 0.0, 0.0, 1.0)
@@ -57,24 +57,24 @@ def check_seed(what: str, seed: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ImageEffects:
-    """Effects of a real camera on colours. All are off by default; depth, labels and normals never change."""
+    """Effects of a real camera on the colours. All are off by default; depth, labels and normals are not affected."""
 
     exposure_ev: float = 0.0
-    """Exposure compensation, stops; each doubles the light."""
+    """Exposure compensation, stops: each doubles the light."""
     white_balance_k: float = 6500.0
     """Colour temperature that is rendered white, kelvin; lower = bluer image of the same scene."""
     vignette: float = 0.0
-    """Share of the light that is missing in the corners, 0 to 1; falls off like cos^4 of the angle, scaled to this."""
+    """Loss of light in the corners, 0 to 1; a cos^4 falloff, scaled to this value."""
     shutter_s: float = 0.0
-    """Exposure time, seconds: motion blur over the motion since the previous state."""
+    """Exposure time, seconds, for motion blur by the motion since the previous state."""
     readout_s: float = 0.0
-    """Time from the first row to the last, seconds: rolling shutter."""
+    """Readout time from the first row to the last, seconds, for a rolling shutter."""
     shot_noise: float = 0.0
-    """Standard deviation of shot noise at full white, 0 to 1, linear; proportional to the square root of the light."""
+    """Standard deviation of shot noise at white, 0 to 1, linear; proportional to the square root of the light."""
     read_noise: float = 0.0
     """Standard deviation of read noise, 0 to 1, linear; independent of the light."""
     seed: int = 0
-    """Seed of the noise, which decides every pixel together with the image's stamp and the camera's name."""
+    """Seed of the noise, which depends on it, the stamp of the image and the name of the camera."""
 
     def __post_init__(self) -> None:
         if not abs(self.exposure_ev) <= 20.0:
@@ -95,23 +95,23 @@ class DepthNoise:
     """Noise of a depth camera: standard deviation constant + linear z + quadratic z^2, metres; quantised disparity; holes."""
 
     constant: float = 0.0
-    """Constant term, m."""
+    """Constant term, metres."""
     linear: float = 0.0
     """Linear coefficient."""
     quadratic: float = 0.0
-    """Quadratic coefficient, 1/m: a stereo camera's noise grows with z^2."""
+    """Quadratic coefficient, 1/m, as of a stereo camera."""
     disparity_step_px: float = 0.0
-    """Step of disparities, pixels; 0 = none."""
+    """Quantisation step of the disparity, pixels; 0 = no quantisation."""
     baseline: float = 0.05
-    """Distance of the camera from its projector or second camera, metres: disparity = fx baseline / z."""
+    """Distance between the camera and its projector or second camera, metres: disparity = fx baseline / z."""
     hole_angle_deg: float = 90.0
-    """Largest angle between the line of sight and a surface's normal at which the surface has a depth; 90 = all surfaces."""
+    """Maximum angle of incidence at which a surface has a depth, degrees; 90 = no limit."""
     hole_fraction: float = 0.0
-    """Share of the other pixels that have no depth, at random."""
+    """Share of random holes among the other pixels, 0 to 1."""
     range_min: float = 0.0
-    """Least measurable depth, metres; smaller depths are -inf (REP 117)."""
+    """Minimum measurable depth, metres; smaller depths are -inf (REP 117)."""
     seed: int = 0
-    """Seed of the noise, which decides every pixel together with the image's stamp and the camera's name."""
+    """Seed of the noise, which depends on it, the stamp of the image and the name of the camera."""
 
     def __post_init__(self) -> None:
         for name in ("constant", "linear", "quadratic", "disparity_step_px", "range_min"):
@@ -127,11 +127,11 @@ class DepthNoise:
 
 
 FILLS = ("push_pull", "learned")
-"""Ways to fill holes beside the networks in files."""
+"""Built-in methods to fill holes; other methods are networks in ONNX files."""
 
 
 def check_fill(what: str, fill: str) -> None:
-    """Raises ConfigError, with ``what`` in its message, unless ``fill`` is a way to fill holes; empty = none."""
+    """Raises ConfigError, with ``what`` in its message, unless ``fill`` is a method to fill holes, or empty."""
     if fill and fill not in FILLS and not fill.endswith(".onnx"):
         raise ConfigError(f"{what}: fill is {quoted(fill)}, must be {', '.join(FILLS)} or the path of an ONNX file (.onnx)")
 
@@ -142,12 +142,12 @@ WORLD_FRAME = "map"
 
 @dataclass(frozen=True, slots=True)
 class CameraSpec:
-    """A camera fixed to a robot link. The camera frame is optical (REP 103): x right, y down, z forward."""
+    """A camera fixed to a link. The camera frame is optical (REP 103): x right, y down, z forward."""
 
     name: str
-    """Name of the camera, of which its topics and its frame ``<name>_optical_frame`` are made."""
+    """Name of the camera, the prefix of its topics and of its frame ``<name>_optical_frame``."""
     link: str
-    """Link that it is fixed to, as in ``SceneState.links``: ``<body>/<link>``; "map", which becomes empty, or empty = the world."""
+    """Link that it is fixed to, as in ``SceneState.links``: ``<body>/<link>``; empty or "map", which is converted to empty = the world."""
     pose: Pose = field(default_factory=Pose)
     """T_link_optical."""
     width: int = 640
@@ -155,35 +155,36 @@ class CameraSpec:
     height: int = 480
     """Image height, pixels."""
     fov_y: float = math.radians(60.0)
-    """Pinhole without ``matrix``: vertical field of view, radians, in (0, pi)."""
+    """Vertical field of view of a pinhole camera without ``matrix``, radians, in (0, pi)."""
     near: float = 0.05
-    """Distance of the near plane, metres along the axis (along the axis of each view of a camera that is composed of several)."""
+    """Distance of the near plane, metres along the axis (for a non-pinhole camera, along the axis of each of its pinhole views)."""
     far: float = 100.0
-    """Largest depth, metres; beyond it depth is +inf (REP 117)."""
+    """Maximum depth, metres; beyond it depth is +inf (REP 117)."""
     rate_hz: float = 30.0
     """Images per second of simulation time."""
     outputs: tuple[Output, ...] = DEFAULT_OUTPUTS
-    """Outputs of an image, all of one pass."""
+    """Outputs, all rendered in one pass."""
     projection: Projection = "pinhole"
-    """pinhole; fisheye (equidistant: the angle from the axis is proportional to the distance from the centre); equirectangular."""
+    """Projection: pinhole; fisheye (equidistant: the angle from the axis is proportional to the distance from the centre); equirectangular."""
     matrix: tuple[float, ...] | None = None
-    """K, nine numbers by rows, pixels, as ``k`` in camera_info, skew allowed; None = from ``fov_y`` or, for a fisheye, from ``fov``."""
+    """Intrinsic matrix K, nine numbers, row-major, pixels, as ``k`` in camera_info, with optional skew; None = derived from ``fov_y``, for a
+    fisheye from ``fov``."""
     distortion: tuple[float, ...] = ()
-    """``d`` of camera_info. pinhole: 4 or 5 numbers of plumb_bob, or 8 of rational_polynomial; fisheye: 4 of equidistant; else none."""
+    """Distortion coefficients, ``d`` of camera_info. pinhole: 4 or 5 of plumb_bob, or 8 of rational_polynomial; fisheye: 4 of equidistant."""
     fov: float = math.pi
-    """Fisheye only: full field of view, radians, in (0, 2 pi]; nothing is drawn beyond it."""
+    """Full field of view of a fisheye camera, radians, in (0, 2 pi]; pixels beyond it are empty."""
     samples: int = 1
     """Colour samples per pixel: 1 or 4 (antialiasing). Depth, labels and normals always have one sample."""
     stereo_baseline: float = 0.0
-    """Right camera of a stereo pair: distance from the left one, metres, for ``p`` of camera_info."""
+    """Distance of the right camera of a stereo pair from the left one, metres, for ``p`` of camera_info; 0 for other cameras."""
     effects: ImageEffects = field(default_factory=ImageEffects)
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
     fill: str = ""
-    """What fills holes of the colours (``hole`` 1 and 2): ``push_pull``, ``learned``, the path of an ONNX file; empty = nothing."""
+    """Method that fills holes of the colours (``hole`` 1 and 2): ``push_pull``, ``learned``, the path of an ONNX file; empty = none."""
     fill_depth: bool = False
-    """Whether depth, and positions, are filled too; ``hole`` marks what is invented."""
+    """Whether holes of depth and positions are filled too; ``hole`` marks the filled pixels."""
     frame_id: str = ""
-    """tf frame of its images; empty = ``<name>_optical_frame``."""
+    """tf frame of the images; empty = ``<name>_optical_frame``."""
 
     def __post_init__(self) -> None:
         what = f"camera {quoted(self.name)}"
@@ -246,20 +247,20 @@ class CameraSpec:
 
     @property
     def distortion_model(self) -> str | None:
-        """Name of the distortion model in camera_info; None if no model has as many numbers as ``distortion``."""
+        """Name of the distortion model in camera_info; None if no model has this number of coefficients."""
         models = DISTORTIONS[self.projection]
         return next((model for model, counts in models.items() if not self.distortion or len(self.distortion) in counts), None)
 
     @property
     def optical_frame(self) -> str:
-        """The tf frame of its images."""
+        """Name of the tf frame of the images."""
         return self.frame_id or f"{self.name}_optical_frame"
 
     def intrinsics(self) -> NDArray[np.float64]:
         """Returns K, shape (3, 3), pixels; pixel centres are at whole numbers (OpenCV, ROS).
 
-        Without ``matrix``, pixels are square and the principal point is the centre of the image. The circle of a fisheye's ``fov`` then
-        touches the edges of its image. K of an equirectangular camera maps (longitude, -latitude) to pixels.
+        Without ``matrix``, pixels are square and the principal point is the centre of the image; the circle of a fisheye's ``fov`` touches the
+        edges of the image. K of an equirectangular camera maps (longitude, -latitude) to pixels.
         """
         if self.matrix is not None:
             return np.array(self.matrix, dtype=np.float64).reshape(3, 3)
@@ -283,13 +284,13 @@ class SceneState:
     step: int
     """Physics steps since load."""
     revision: int
-    """Revision of the scene with these links; a renderer refuses a state of another revision."""
+    """Revision of the scene with these links; a renderer rejects a state of another revision."""
     links: tuple[str, ...] = field(repr=False)
-    """Names ``<body>/<link>``, one for each row."""
+    """Names ``<body>/<link>`` of the rows."""
     positions: NDArray[np.float64] = field(repr=False)
-    """(N, 3), metres: origins of the URDF link frames (not centres of mass)."""
+    """Origins of the URDF link frames (not centres of mass), (N, 3), metres."""
     quats_xyzw: NDArray[np.float64] = field(repr=False)
-    """(N, 4), unit quaternions."""
+    """Orientations of the link frames, (N, 4), unit quaternions."""
     twists: NDArray[np.float64] = field(repr=False)
     """(N, 6), world frame: linear velocity of the link frame's origin (m/s), then angular velocity (rad/s)."""
 
@@ -301,7 +302,7 @@ class SceneState:
 
     @classmethod
     def still(cls, revision: int = 1, links: tuple[str, ...] = ()) -> SceneState:
-        """Returns the state at time 0 of a scene in which nothing moves, all links at the origin.
+        """Returns the state at time 0 with all links at rest at the origin.
 
         Args:
             revision: revision of the scene.
@@ -313,12 +314,12 @@ class SceneState:
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand:
-    """A commanded velocity of the robot's base, in its own frame (x forward, z up)."""
+    """A velocity command for the robot's base, in the base frame (x forward, z up)."""
 
     linear: Vec3
-    """m/s."""
+    """Linear velocity, m/s."""
     angular: Vec3
-    """rad/s."""
+    """Angular velocity, rad/s."""
     stamp_ns: int
     """Simulation time of its arrival, nanoseconds."""
 
@@ -332,18 +333,18 @@ class VelocityCommand:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A point at which two bodies touch."""
+    """A contact point of two bodies."""
 
     body_a: str
     link_a: str
     body_b: str
     """Name of the other body, or of a static shape of the scene."""
     link_b: str
-    """Empty for a static shape."""
+    """Link of the other body; empty for a static shape."""
     position: Vec3
     """Contact point on b, world frame, metres."""
     normal: Vec3
-    """From b to a, unit vector, world frame."""
+    """Contact normal from b to a, unit vector, world frame."""
     force: float
     """Normal force, N."""
     distance: float = 0.0
@@ -356,9 +357,9 @@ class Frame:
 
     camera: CameraSpec
     stamp_ns: int
-    """Stamp of the drawn state, nanoseconds of simulation time."""
+    """Stamp of the rendered state, nanoseconds of simulation time."""
     T_world_camera: NDArray[np.float64]
-    """(4, 4), optical frame."""
+    """Pose of the optical frame, (4, 4)."""
     rgb: NDArray[np.uint8] | None = None
     """(height, width, 3) uint8, sRGB, or None if not requested."""
     depth: NDArray[np.float32] | None = None
@@ -371,7 +372,7 @@ class Frame:
     normal: NDArray[np.float32] | None = None
     """(height, width, 3) float32, unit normals in the optical frame, facing the camera, 0 = nothing, or None."""
     normal_world: NDArray[np.float32] | None = None
-    """The same in the world frame."""
+    """``normal`` in the world frame."""
     position: NDArray[np.float32] | None = None
     """(height, width, 3) float32, points in the world frame, metres, NaN = nothing, or None."""
     flow: NDArray[np.float32] | None = None
@@ -383,27 +384,27 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointStates:
-    """Joints of one body at one tick."""
+    """Joint states of one body at one tick."""
 
     names: tuple[str, ...]
     positions: NDArray[np.float64]
-    """(J,), radians or metres."""
+    """Positions, (J,), radians or metres."""
     velocities: NDArray[np.float64]
-    """(J,), rad/s or m/s."""
+    """Velocities, (J,), rad/s or m/s."""
     efforts: NDArray[np.float64]
-    """(J,), N m or N."""
+    """Efforts, (J,), N m or N."""
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """Wheel odometry: pose of the base in the odom frame, and its velocity in its own frame."""
+    """Wheel odometry: pose of the base in the odom frame, and its velocity in the base frame."""
 
     x: float
-    """Metres, odom frame."""
+    """Position, metres, odom frame."""
     y: float
-    """Metres, odom frame."""
+    """Position, metres, odom frame."""
     yaw: float
-    """Radians, in (-pi, pi], odom frame."""
+    """Heading, radians, in (-pi, pi], odom frame."""
     linear: float
     """Forward speed, m/s, base frame."""
     angular: float

@@ -1,7 +1,7 @@
-"""Writes files atomically. All modules write files for users through this one.
+"""Writes files atomically. All modules use it to write files for users.
 
-The content goes into a draft beside the file, which takes the file's name once it is complete: a reader always finds the old file or the
-new one, also after the disk ran full. Only bags are written in place, because they are useful before they are complete.
+The content is written to a draft beside the file, which is renamed once it is complete: a reader always sees either the old or the new file,
+even if the disk fills up. Only bags are written in place, because an incomplete bag is useful.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def write_file(path: str | Path, content: bytes | str, *, durable: bool = True) 
     Args:
         path: the file, which is replaced; a device or a pipe is written to.
         content: bytes, or text, which is written as UTF-8.
-        durable: whether to wait until the disk has stored it, which costs time for thousands of files.
+        durable: whether to sync the file to the disk, which takes time for thousands of files.
 
     Raises:
         WriteError: the file cannot be written; a previous file is unchanged.
@@ -45,11 +45,11 @@ def replacing(path: str | Path, *, durable: bool = True, needs: int = 0) -> Iter
 
     Args:
         path: the file; its folder is created if necessary. A device or a pipe is its own draft.
-        durable: whether to wait until the disk has stored it.
-        needs: bytes that will be written, for the error message; 0 = not known.
+        durable: whether to sync the file to the disk.
+        needs: number of bytes to be written, for the error message; 0 = unknown.
 
     Raises:
-        WriteError: the file cannot be written, or an OSError left the block; the draft is deleted.
+        WriteError: the file cannot be written, or the block raised an OSError; the draft is deleted.
     """
     target = Path(path)
     draft: Path | None = None
@@ -57,7 +57,7 @@ def replacing(path: str | Path, *, durable: bool = True, needs: int = 0) -> Iter
         if _is_special(target):
             yield target
             return
-        target = Path(os.path.realpath(target))  # a link stays one
+        target = Path(os.path.realpath(target))  # do not replace a symbolic link
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
         except FileExistsError as error:
@@ -85,10 +85,10 @@ def cannot_write(path: str | Path | None, error: OSError | ValueError, needs: in
     """Returns the error for a file that cannot be written; on a full disk, with the needed and the free space.
 
     Args:
-        path: the file; None = not known, such as standard output.
-        error: the system's error.
-        needs: least number of bytes that the file needs; 0 = not known.
-        spare: bytes of the draft, which will be free again.
+        path: the file; None = unknown, such as standard output.
+        error: the error of the operating system.
+        needs: minimum size of the file, bytes; 0 = unknown.
+        spare: size of the draft, which will be deleted, bytes.
     """
     what = f"cannot write {'the output' if path is None else path}"
     reason = (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
@@ -99,16 +99,16 @@ def cannot_write(path: str | Path | None, error: OSError | ValueError, needs: in
     if free is not None:
         known.append(f"free {size_text(free + spare)}")
     numbers = f" ({', '.join(known)})" if known else ""
-    return WriteError(f"{what}: {reason}{numbers}; make room, or give another place").with_public("the disk is full")
+    return WriteError(f"{what}: {reason}{numbers}; free disk space, or choose another folder").with_public("the disk is full")
 
 
-def is_of_the_disk(error: OSError) -> bool:
-    """Returns whether an error is that of a full, read-only or broken disk."""
+def is_disk_error(error: OSError) -> bool:
+    """Returns whether an error is caused by a full, read-only or faulty disk."""
     return error.errno in _DISK_ERRORS
 
 
 def size_text(size: int) -> str:
-    """Returns a number of bytes with a suitable unit, such as 12.3 MB."""
+    """Returns a size in bytes as text with a suitable unit, such as 12.3 MB."""
     value, unit = float(size), 0
     while value >= 1000.0 and unit < len(_UNITS) - 1:
         value, unit = value / 1000.0, unit + 1
@@ -131,7 +131,7 @@ def _is_special(path: Path) -> bool:
 
 
 def _mode_of(path: Path) -> int | None:
-    """Returns the permissions of the file to replace, None if it does not exist.
+    """Returns the mode bits of the file to replace, None if it does not exist.
 
     Raises:
         OSError: the file is not writable, or is a folder.
@@ -163,10 +163,10 @@ def _size(path: Path | None) -> int:
 
 
 def _free(path: Path) -> int | None:
-    """Returns the free bytes of the disk of a path, None if unknown."""
-    for place in path.absolute().parents:
+    """Returns the free space of the disk of a path, bytes, None if unknown."""
+    for folder in path.absolute().parents:
         try:
-            return shutil.disk_usage(place).free
+            return shutil.disk_usage(folder).free
         except OSError:
             continue
     return None

@@ -12,7 +12,7 @@ from gibson_sim.cli.parser import ExitCode, Parser, choice_error, table
 from gibson_sim.cli.registry import COMMANDS, command_modules, not_installed
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError, missing_package
 from gibson_sim.interrupts import Interruptible
-from gibson_sim.writing import cannot_write, is_of_the_disk
+from gibson_sim.writing import cannot_write, is_disk_error
 
 EPILOG = f"""\
 {table()}
@@ -52,7 +52,7 @@ def run(words: list[str]) -> int:
     except OSError as error:
         if interruptible.was_interrupted:
             code = ExitCode.INTERRUPTED
-        elif not is_of_the_disk(error):
+        elif not is_disk_error(error):
             raise
         else:
             _discard_output()

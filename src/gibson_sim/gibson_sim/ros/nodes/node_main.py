@@ -34,7 +34,7 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.quoting import clipped
-from gibson_sim.writing import cannot_write, is_of_the_disk, write_file
+from gibson_sim.writing import cannot_write, is_disk_error, write_file
 
 logger = logging.getLogger(__name__)
 
@@ -201,7 +201,7 @@ def _errors_reported() -> Iterator[None]:
     try:
         yield
     except (GibsonSimError, OSError) as error:
-        if isinstance(error, OSError) and not is_of_the_disk(error):
+        if isinstance(error, OSError) and not is_disk_error(error):
             raise
         if not _signals.was_interrupted:
             text = cannot_write(error.filename, error) if isinstance(error, OSError) else error
