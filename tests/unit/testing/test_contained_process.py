@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.testing.contained_process import NOT_FOUND, contained
+from gibson_sim.testing.contained_process import NOT_FOUND, contained_command
 from support.simulation import PATIENCE_S, wait_until
 
 DAEMON = """
@@ -43,7 +43,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
     processes = []
 
     def begin(source: str, *arguments: str) -> subprocess.Popen[bytes]:
-        processes.append(subprocess.Popen(contained([sys.executable, "-c", source, *arguments]), cwd=tmp_path))
+        processes.append(subprocess.Popen(contained_command([sys.executable, "-c", source, *arguments]), cwd=tmp_path))
         return processes[-1]
 
     yield begin
@@ -65,7 +65,7 @@ def test_the_exit_code_is_that_of_the_program(start: Start, source: str, code: i
 
 
 def test_a_program_that_does_not_exist_is_named() -> None:
-    done = subprocess.run(contained(["/no/such/program"]), capture_output=True, text=True, check=False)
+    done = subprocess.run(contained_command(["/no/such/program"]), capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (NOT_FOUND, "error: /no/such/program cannot be started: No such file or directory\n")
 
 
@@ -86,8 +86,8 @@ def test_a_daemon_ends_when_the_program_is_asked_to_end(start: Start, tmp_path: 
 
 def test_all_end_when_the_process_that_started_them_is_killed(tmp_path: Path) -> None:
     source = (
-        "import subprocess, sys\nfrom gibson_sim.testing.contained_process import contained\n"
-        "subprocess.Popen(contained([sys.executable, '-c', sys.argv[1], sys.argv[2]])).wait()"
+        "import subprocess, sys\nfrom gibson_sim.testing.contained_process import contained_command\n"
+        "subprocess.Popen(contained_command([sys.executable, '-c', sys.argv[1], sys.argv[2]])).wait()"
     )
     parent = subprocess.Popen([sys.executable, "-c", source, DAEMON.format(then="time.sleep(1000)"), str(tmp_path / "pid")])
     daemon = _daemon(tmp_path / "pid")

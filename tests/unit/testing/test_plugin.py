@@ -21,10 +21,10 @@ class Simulation:
         return [("simulation", "robot at x 1"), ("log of the simulation", "it said this"), ("output of `nav`", " ")]
 
 class Pool:
-    def take(self, given, bag):
+    def acquire(self, given, bag):
         print("settings", sorted(given.items()))
         return Simulation()
-    def give_back(self, simulation):
+    def release(self, simulation):
         print("given back", os.environ.get("ROS_DOMAIN_ID"))
 
 @pytest.fixture(scope="session")
@@ -98,7 +98,7 @@ def test_a_package_that_is_not_installed_is_an_error_of_one_line(pytester: pytes
     with pytest.MonkeyPatch.context() as patch:
         patch.delitem(sys.modules, "gibson_sim.testing.pool")
         patch.setitem(sys.modules, "gibson_sim.testing.headless_simulation", None)
-        patch.setattr("gibson_sim.errors._OURS", ())
+        patch.setattr("gibson_sim.errors._OWN_PACKAGES", ())
         result = _run(pytester)
     result.assert_outcomes(errors=1)
     said = "the Python package gibson_sim is not installed: `pip install gibson_sim`"

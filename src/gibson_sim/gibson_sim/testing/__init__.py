@@ -1,5 +1,5 @@
-"""Simulations for the tests of a robot's software: started without a window in a free ROS domain, commanded and observed from Python.
+"""Simulations for tests of a robot's software: started without a window in a free ROS domain, controlled and observed from Python.
 
-``HeadlessSimulation`` is what the pytest fixture ``sim`` gives (``gibson_sim.pytest``); it works without pytest, too. Nothing here is loaded
-before a test asks for a simulation.
+The pytest fixture ``sim`` (``gibson_sim.pytest``) is a ``HeadlessSimulation``, which also works without pytest. This package is imported only
+when a test requests a simulation.
 """

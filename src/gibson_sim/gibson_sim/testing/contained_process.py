@@ -1,8 +1,8 @@
-"""A program and all that it starts, as one thing that ends: when it is asked to, or when the process that started it ends, however that ends.
+"""Runs a program with all its descendants as one unit, which ends on request or when the starting process ends for any reason.
 
-``python -m gibson_sim.testing.contained_process PARENT_PID PROGRAM ...`` runs a program in a session of its own. Orphans of the program become
-its children (PR_SET_CHILD_SUBREAPER, prctl(2)), so that no descendant is lost, not even one that made itself a daemon. Its exit code is that
-of the program, 128 + n for signal n. Imports the standard library alone.
+``python -m gibson_sim.testing.contained_process PARENT_PID PROGRAM ...`` runs a program in its own session. Orphans of the program become
+children of this process (PR_SET_CHILD_SUBREAPER, prctl(2)), so that no descendant is lost, not even a daemon. The exit code is that of the
+program, 128 + n for signal n. Imports only the standard library.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 GRACE_S = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0))
-"""Signals that end the program and its descendants, and the wall time after which the next one is sent, seconds."""
+"""Signals that end the program and its descendants, each with the wall time until the next signal, seconds."""
 NOT_FOUND = 127
-"""Exit code where the program cannot be started, as of a shell."""
+"""Exit code if the program cannot be started, as in a shell."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 """Options of prctl(2)."""
 _PERIOD_S = 0.02
 
 
-def contained(command: Sequence[str]) -> list[str]:
-    """Returns the command line that runs a program contained in this process."""
+def contained_command(command: Sequence[str]) -> list[str]:
+    """Returns the command line that runs a program contained in this process, with all its descendants."""
     return [sys.executable, "-m", "gibson_sim.testing.contained_process", str(os.getpid()), *command]
 
 
 def end_with_parent(parent_pid: int) -> None:
-    """Asks the kernel to send SIGTERM to this process when its parent ends; ends it at once if the parent has ended already."""
+    """Requests SIGTERM for this process when its parent ends; exits immediately if the parent has already ended."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent_pid:
         sys.exit(1)
@@ -40,9 +40,9 @@ def end_with_parent(parent_pid: int) -> None:
 def main() -> int:
     """Runs the program; returns its exit code."""
     parent_pid, command = int(sys.argv[1]), sys.argv[2:]
-    asked: list[int] = []
+    received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: asked.append(number))
+        signal.signal(number, lambda number, _: received.append(number))
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
     end_with_parent(parent_pid)
     try:
@@ -51,21 +51,19 @@ def main() -> int:
         sys.stderr.write(f"error: {command[0]} cannot be started: {error.strerror}\n")
         return NOT_FOUND
     code = None
-    while not asked and code is None:
+    while not received and code is None:
         code = _reap(program.pid)
         time.sleep(0.0 if code is not None else _PERIOD_S)
     for number, seconds in GRACE_S:
         if code is None and number == signal.SIGINT:
-            _send(
-                -program.pid, number
-            )  # as Ctrl-C does: to the foreground processes together, `ros2 launch` and its nodes among them
+            _send(-program.pid, number)  # to the whole process group, as Ctrl-C does, such as `ros2 launch` with its nodes
         elif number != signal.SIGINT:
             for pid in _descendants(os.getpid()):
                 _send(pid, number)
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
-            found = _reap(program.pid)
-            code = found if code is None else code
+            exit_code = _reap(program.pid)
+            code = exit_code if code is None else code
             if not any(_descendants(os.getpid())) or (code is not None and number == signal.SIGINT):
                 break
             time.sleep(_PERIOD_S)
@@ -75,27 +73,27 @@ def main() -> int:
 
 
 def _end_with_parent() -> None:
-    """Lets the program end should this process be killed. It has one thread, so running code between fork and exec is safe."""
+    """Makes the program end if this process is killed. Safe between fork and exec, since this process has one thread."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _reap(program_pid: int) -> int | None:
-    """Collects children that have ended; returns the exit code of the program if it is among them."""
-    found = None
+    """Reaps ended children; returns the exit code of the program if it is among them, 128 + n for signal n."""
+    program_code = None
     while True:
         try:
             pid, status = os.waitpid(-1, os.WNOHANG)
         except ChildProcessError:
-            return found
+            return program_code
         if not pid:
-            return found
+            return program_code
         if pid == program_pid:
             code = os.waitstatus_to_exitcode(status)
-            found = code if code >= 0 else 128 - code
+            program_code = code if code >= 0 else 128 - code
 
 
 def _descendants(pid: int) -> Iterator[int]:
-    """Yields the ids of all processes below a process."""
+    """Yields the ids of all descendants of a process."""
     try:
         children = [int(text) for task in Path(f"/proc/{pid}/task").iterdir() for text in (task / "children").read_text().split()]
     except OSError:

@@ -1,4 +1,4 @@
-"""The process of a simulation for tests: the nodes as ``gibson-sim run`` starts them, for as long as the test's process lives.
+"""The process of a simulation for tests: runs the same nodes as ``gibson-sim run`` for the lifetime of the test's process.
 
 ``python -m gibson_sim.testing.headless_main PARENT_PID SETTINGS [BAG]``; ``SETTINGS`` is the JSON of ``SimulationSettings.to_text``.
 """
@@ -24,24 +24,24 @@ def plan(values: dict[str, Any], bag: str, folder: Path) -> Job:
     Args:
         values: settings of each node.
         bag: folder of the bag; empty = none.
-        folder: of the job.
+        folder: folder of the job.
     """
     job = Job(folder)
-    waits = {ROBOTS: 1, **({STATE_TOPIC: 1} if "render" in values else {})}
+    required = {ROBOTS: 1, **({STATE_TOPIC: 1} if "render" in values else {})}
     if bag:
         job.bag, job.keep_bag = Path(bag), True
         job.configs["record"] = RecordConfig(output=bag, summary_path=str(folder / "record.json"))
-        waits = {STATE_TOPIC: waits.get(STATE_TOPIC, 0) + 1, ROBOTS: 2, **({CAMERAS: 1} if "render" in values else {})}
+        required = {STATE_TOPIC: required.get(STATE_TOPIC, 0) + 1, ROBOTS: 2, **({CAMERAS: 1} if "render" in values else {})}
     if "render" in values:
         job.configs["render"] = RenderConfig(**{**values["render"], "summary_path": str(folder / "render.json")})
     physics = {**values["physics"], "summary_path": str(folder / "physics.json")}
-    physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in waits.items())
+    physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in required.items())
     job.configs["physics"] = PhysicsConfig(**physics)
     return job
 
 
 def main() -> int:
-    """Runs the simulation until it is asked to end; returns the exit code."""
+    """Runs the simulation until it is signalled to end; returns the exit code."""
     end_with_parent(int(sys.argv[1]))
     settings, bag = json.loads(sys.argv[2]), "".join(sys.argv[3:])
     try:

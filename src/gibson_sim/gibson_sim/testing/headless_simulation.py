@@ -1,4 +1,4 @@
-"""A simulation for tests: its process, a client of it, and the robot's own programs beside it, as one object that leaves nothing behind."""
+"""A simulation for tests: its process, a client and the robot's programs as one object that leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from gibson_sim.errors import AlreadyRunningError, ConfigError, GibsonSimError, SceneError
 from gibson_sim.quoting import quoted
-from gibson_sim.testing.processes import DOMAINS, OF_THE_NODES, Program, SimulationProcess, free_domains, variables_set
+from gibson_sim.testing.processes import DOMAINS, NODE_VARIABLES, Program, SimulationProcess, free_domains, variables_set
 from gibson_sim.testing.settings import PARTICIPANT, SimulationSettings
 
 if TYPE_CHECKING:
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from gibson_sim.ros.client.collisions import Collision
 
 __tracebackhide__ = True
-"""pytest shows the line of the test, not those of this module; ``--full-trace`` shows all."""
-At = tuple[float, float, float]
+"""pytest shows the line of the test instead of lines of this module; ``--full-trace`` shows all."""
+PlanarPose = tuple[float, float, float]
 """x and y in metres and yaw in radians, in the map frame."""
-_ROOM = (0.1, 0.05, 0.0)
-"""Distances to obstacles beyond the robot's radius with which paths are planned, the first that there is room for, m."""
+_CLEARANCES = (0.1, 0.05, 0.0)
+"""Clearances in addition to the robot's radius for path planning, tried in order, m."""
 _OCCUPIED = 50
-"""Value of an occupancy grid above which a cell is occupied."""
+"""Value of an occupancy grid above which a cell counts as occupied."""
 _MOST_COLLISIONS = 5
-"""Collisions that a message lists."""
+"""Number of collisions that a message lists."""
 
 
 class WaitError(GibsonSimError):
-    """What a test waited for has not happened; the message says what, for how long, and how the robot stands."""
+    """A condition did not hold in time; the message names condition and time, and summarises the state of the robots."""
 
 
 class SimulationEndedError(GibsonSimError):
-    """The simulation has ended; the message says why."""
+    """The simulation has ended; the message has the reason."""
 
 
 class HeadlessSimulation:
@@ -48,8 +48,8 @@ class HeadlessSimulation:
             sim.drive_to(2.0, 5.0)
             assert not sim.contacts
 
-    Lengths are in metres, angles in radians, times in seconds of simulation time, poses in the map frame. In lockstep, the default, time stands
-    still between two calls and the same calls give the same values; with ``lockstep=False`` time passes by itself, at ``rate``.
+    Lengths are in metres, angles in radians, times in seconds of simulation time, poses in the map frame. In lockstep, the default, time does not
+    advance between two calls, and equal calls give equal values; with ``lockstep=False`` time advances continuously at ``rate``.
     """
 
     def __init__(
@@ -59,14 +59,14 @@ class HeadlessSimulation:
         """Starts a simulation and waits until it is ready.
 
         Args:
-            domains: range of ROS domains, of which a free one is used.
-            folder: from which relative paths in the settings count; None = the current one.
-            bag: folder of the recording, with ``record=True``.
-            first_domain: place in the range at which the search for a free one begins; None = by the id of this process.
-            settings: of the simulation, see ``SimulationSettings``: every setting of the physics node, and of the render node with ``cameras=True``.
+            domains: range of ROS domains; a free one is used.
+            folder: folder to which relative paths in the settings refer; None = the working folder.
+            bag: folder of the recording, required with ``record=True``.
+            first_domain: first position in the range that is tried; None = derived from the process id.
+            settings: see ``SimulationSettings``; all settings of the physics node, and of the render node with ``cameras=True``.
 
         Raises:
-            GibsonSimError: a setting is not allowed, or the simulation cannot start; the message is the simulation's own.
+            GibsonSimError: a setting is not allowed, or the simulation cannot start; the message is that of the simulation.
         """
         from gibson_sim.cli.environment import node_environment, require_nodes
 
@@ -86,7 +86,7 @@ class HeadlessSimulation:
             environment = node_environment(domain_id=domain)
             try:
                 self._start(domain, environment)
-            except AlreadyRunningError:  # another one was quicker
+            except AlreadyRunningError:  # another process took the domain meanwhile
                 self.close()
                 continue
             except BaseException:
@@ -95,13 +95,13 @@ class HeadlessSimulation:
             break
         self.domain_id = domain
         """ROS domain of the simulation."""
-        self.environment: dict[str, str] = {name: text for name, text in environment.items() if name not in OF_THE_NODES}
-        """All variables of a process whose nodes are to find the simulation: ``subprocess.Popen([...], env=sim.environment)``."""
+        self.environment: dict[str, str] = {name: text for name, text in environment.items() if name not in NODE_VARIABLES}
+        """Environment for processes whose nodes communicate with the simulation: ``subprocess.Popen([...], env=sim.environment)``."""
 
     def _start(self, domain: int, environment: Mapping[str, str]) -> None:
         self._process = SimulationProcess(self.settings, environment, self._folder, self.bag)
         with variables_set(environment), warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of the parser that generated messages load
+            warnings.simplefilter("ignore", DeprecationWarning)  # raised by a parser that generated messages import
             from gibson_sim.ros.client.client import Client
 
             self._client = Client(
@@ -117,7 +117,7 @@ class HeadlessSimulation:
         self._is_ready = True
 
     def _check(self) -> None:
-        """Raises the reason if the simulation, or a program, has ended as it should not."""
+        """Raises an error if the simulation has ended or a program has failed."""
         if self._process is None or self._process.has_ended:
             reason = self._process.error() if self._process is not None else GibsonSimError("it was closed")
             if isinstance(reason, AlreadyRunningError):
@@ -127,7 +127,7 @@ class HeadlessSimulation:
             program.check()
 
     @property
-    def _running(self) -> Client:
+    def _running_client(self) -> Client:
         self._check()
         assert self._client is not None
         return self._client
@@ -136,18 +136,18 @@ class HeadlessSimulation:
 
     @property
     def time(self) -> float:
-        """Simulation time since it began or was reset, s."""
-        client = self._running
+        """Simulation time since the start or the last reset, s."""
+        client = self._running_client
         client.catch_up()
         return client.now
 
     def step(self, seconds: float) -> None:
-        """Lets time pass: in lockstep and while paused by whole ticks or steps, rounded up, exactly; else at least so long.
+        """Advances time: in lockstep by whole ticks and while paused by whole steps, rounded up; otherwise at least by the given time.
 
         Args:
-            seconds: of simulation time.
+            seconds: simulation time, s.
         """
-        client, physics = self._running, self.settings.physics
+        client, physics = self._running_client, self.settings.physics
         if not (math.isfinite(seconds) and seconds > 0):
             raise ConfigError(f"step: seconds is {quoted(seconds)}, must be a number above 0")
         if client.is_paused:
@@ -162,17 +162,17 @@ class HeadlessSimulation:
                 client.next_tick()
 
     def wait_until(self, condition: Callable[[], Any], timeout: float = 30.0, *, what: str = "") -> Any:
-        """Lets time pass until a condition holds, which is looked at in every tick; returns its value.
+        """Advances time until a condition holds; evaluates it at every tick and returns its value.
 
         Args:
-            condition: a function without arguments; any true value ends the wait.
+            condition: function without arguments; any true value ends the wait.
             timeout: seconds of simulation time.
-            what: names the condition in the error; empty = its source.
+            what: name of the condition in the error; empty = its source code.
 
         Raises:
-            WaitError: it does not hold in time.
+            WaitError: the condition does not hold in time.
         """
-        client = self._running
+        client = self._running_client
         begin = client.now
         while not (value := condition()):
             if client.now - begin >= timeout - 1e-9:
@@ -181,46 +181,46 @@ class HeadlessSimulation:
         return value
 
     def pause(self) -> None:
-        """Holds time; ``step`` then makes physics steps."""
-        self._running.set_playing(False)
+        """Pauses time; ``step`` then executes physics steps."""
+        self._running_client.set_playing(False)
 
     def play(self) -> None:
-        """Lets time pass again."""
-        self._running.set_playing(True)
+        """Resumes time."""
+        self._running_client.set_playing(True)
 
     def reset(self) -> None:
-        """Resets everything to the start, as if it had been started anew: time, poses, spawned and deleted entities; forgets what was received."""
-        self._running.reset()
+        """Resets time, poses, and spawned and deleted entities to the initial state; discards received messages."""
+        self._running_client.reset()
 
-    # Things
+    # Entities
 
-    def spawn(self, thing: str, at: At, name: str = "") -> str:
-        """Puts a thing on the floor; returns the name that it got.
+    def spawn(self, model: str, at: PlanarPose, name: str = "") -> str:
+        """Spawns an object or robot on the floor; returns its name.
 
         Args:
-            thing: of the catalogue, such as ``chair``, a robot, or a file: URDF, SDF, mesh.
-            at: x, y, yaw.
-            name: empty = by the thing, with a number if that is taken.
+            model: name in the catalogue such as ``chair``, a robot, or a file: URDF, SDF, mesh.
+            at: x, y, yaw, map frame, m and rad.
+            name: name of the entity; empty = derived from the model, with a number if the name exists.
         """
-        return self._running.services.spawn(str(thing), _place(at), self._floor_z(), name)
+        return self._running_client.services.spawn(str(model), _pose(at), self._floor_z(), name)
 
-    def move(self, name: str, at: At) -> None:
-        """Puts an entity, also a robot, elsewhere on the floor, at rest."""
-        self._running.services.move(name, _place(at), self._floor_z())
+    def move(self, name: str, at: PlanarPose) -> None:
+        """Moves an entity or a robot to another pose on the floor, at rest."""
+        self._running_client.services.move(name, _pose(at), self._floor_z())
 
     def delete(self, name: str) -> None:
         """Removes an entity."""
-        self._running.services.delete(name)
+        self._running_client.services.delete(name)
 
     def entities(self) -> dict[str, RobotPose]:
-        """Returns the pose of every robot and body by its name."""
-        client = self._running
+        """Returns the poses of all robots and bodies by name."""
+        client = self._running_client
         from gibson_sim.ros.client.client import robot_pose
 
         return {name: robot_pose(pose) for name, pose in client.services.poses().items()}
 
     def _floor_z(self) -> float:
-        client = self._running
+        client = self._running_client
         try:
             return float(client.floor().info.origin.position.z)
         except GibsonSimError:  # a scene without a floor
@@ -230,26 +230,26 @@ class HeadlessSimulation:
     # The robot
 
     def robot_pose(self, robot: str = "") -> RobotPose:
-        """Returns the true pose of a robot; empty = the only, or first, one."""
-        return self._running.pose(self._robot(robot))
+        """Returns the true pose of a robot; empty = the first robot."""
+        return self._running_client.pose(self._robot(robot))
 
     @property
     def contacts(self) -> list[Collision]:
-        """What the robots collided with since the start or a reset; the ground, and what a gripper holds, do not count."""
-        client = self._running
+        """Collisions of the robots since the start or a reset, without the ground and objects held by a gripper."""
+        client = self._running_client
         client.catch_up()
         return client.collisions()
 
     def drive(self, linear: float, angular: float, seconds: float, *, robot: str = "") -> None:
-        """Commands a velocity in every tick for some time, then a stop.
+        """Commands a velocity at every tick for some time, then a stop.
 
         Args:
-            linear: m/s.
-            angular: rad/s, counter-clockwise.
-            seconds: of simulation time.
-            robot: empty = the only, or first, one.
+            linear: forward velocity, m/s.
+            angular: yaw rate, rad/s, counter-clockwise.
+            seconds: simulation time, s.
+            robot: name of the robot; empty = the first robot.
         """
-        client, name = self._running, self._robot(robot)
+        client, name = self._running_client, self._robot(robot)
         end = client.now + seconds
         while client.now < end - 1e-9:
             client.command(name, linear, angular)
@@ -261,24 +261,24 @@ class HeadlessSimulation:
         self, x: float, y: float, within: float = 0.2, *, timeout: float = 120.0, linear: float = 0.4, angular: float = 1.2,
         robot: str = "",
     ) -> None:  # fmt: skip
-        """Drives a robot that can turn in place along the shortest path on the floor map, which does not know what a test spawned.
+        """Drives a robot that can turn in place along the shortest path on the floor map, which does not include spawned objects.
 
         Args:
-            x: goal, map frame.
-            y: the same.
-            within: distance at which the goal is reached.
+            x: goal, map frame, m.
+            y: goal, map frame, m.
+            within: distance from the goal at which it counts as reached, m.
             timeout: seconds of simulation time.
             linear: greatest speed, m/s.
             angular: greatest yaw rate, rad/s.
-            robot: empty = the only, or first, one.
+            robot: name of the robot; empty = the first robot.
 
         Raises:
-            WaitError: it does not get there in time.
-            SceneError: the goal, or the robot, is not on free floor, or no path connects them.
+            WaitError: the robot does not reach the goal in time.
+            SceneError: the goal or the robot is not on free floor, or no path connects them.
         """
         from gibson_sim.robots.path_tracking import PathFollower
 
-        client, name = self._running, self._robot(robot)
+        client, name = self._running_client, self._robot(robot)
         pose, begin, follower = client.pose(name), client.now, None
         while pose.distance_to(x, y) > within:
             if follower is None or follower.done:
@@ -295,16 +295,16 @@ class HeadlessSimulation:
         client.next_tick()
 
     def send_goal(self, x: float, y: float, yaw: float = 0.0, *, topic: str = "goal_pose", patience: float = 30.0) -> None:
-        """Publishes a goal (geometry_msgs/PoseStamped) for a navigation stack, once a node subscribes to it; time passes meanwhile.
+        """Publishes a goal (geometry_msgs/PoseStamped) for a navigation stack when its topic has a subscriber; time advances meanwhile.
 
         Args:
-            x: map frame.
-            y: the same.
-            yaw: heading at the goal.
-            topic: of the goal.
-            patience: seconds of wall time for a subscriber.
+            x: goal, map frame, m.
+            y: goal, map frame, m.
+            yaw: heading at the goal, rad.
+            topic: topic of the goal.
+            patience: timeout for a subscriber, seconds of wall time.
         """
-        self._running.send_goal(topic, *_place((x, y, yaw)), patience)
+        self._running_client.send_goal(topic, *_pose((x, y, yaw)), patience)
 
     def _robot(self, name: str) -> str:
         robots = self.settings.robots
@@ -313,77 +313,77 @@ class HeadlessSimulation:
         return name or robots[0]
 
     def _path(self, start: tuple[float, float], goal: tuple[float, float], within: float) -> Any:
-        """Returns the shortest path (N, 2), as far from obstacles as there is room for.
+        """Returns the shortest path (N, 2), map frame, metres, with the largest possible clearance.
 
         Raises:
-            SceneError: there is none.
+            SceneError: no path exists.
         """
         if self._planner is None:
             self._planner = self._path_planners()
-        failure = None
+        last_error = None
         for planner in self._planner:
             try:
                 path = planner.path(start, goal)
             except SceneError as error:
-                failure = error
+                last_error = error
                 continue
             if math.dist(path[-1], goal) < within:
                 return path
-            failure = SceneError(
-                f"the goal x {goal[0]:.2f} m, y {goal[1]:.2f} m is too near to an obstacle of the floor map for the robot; the nearest place "
+            last_error = SceneError(
+                f"the goal x {goal[0]:.2f} m, y {goal[1]:.2f} m is too close to an obstacle of the floor map for the robot; the nearest point "
                 f"is x {path[-1][0]:.2f} m, y {path[-1][1]:.2f} m"
             )
-        assert failure is not None
-        raise failure
+        assert last_error is not None
+        raise last_error
 
     def _path_planners(self) -> list[Any]:
-        """Returns planners for the robot on the map, with less and less room to both sides of it."""
+        """Returns path planners for the robot on the map, with decreasing clearance."""
         import numpy as np
 
         from gibson_sim.maps.floor_map import FloorMap
         from gibson_sim.maps.paths import PathPlanner
         from gibson_sim.scenes.robot_files import load_robot
 
-        grid = self._running.floor()
+        grid = self._running_client.floor()
         data = np.asarray(grid.data, dtype=np.int8).reshape(grid.info.height, grid.info.width)
         origin = (grid.info.origin.position.x, grid.info.origin.position.y)
         floor = FloorMap(grid.info.resolution, origin, data > _OCCUPIED, data >= 0)
-        first = self.settings.physics.robot.split(",")[0].rpartition("=")[2].strip()
-        radius = load_robot(first).radius
-        return [PathPlanner(floor, radius + room) for room in _ROOM]
+        robot = self.settings.physics.robot.split(",")[0].rpartition("=")[2].strip()
+        radius = load_robot(robot).radius
+        return [PathPlanner(floor, radius + clearance) for clearance in _CLEARANCES]
 
     # Topics
 
     def topics(self) -> dict[str, str]:
-        """Returns topic -> message type of the topics that have publishers now."""
-        return self._running.topics()
+        """Returns topic -> message type of the topics that have publishers."""
+        return self._running_client.topics()
 
     def subscribe(self, topic: str, kind: Any = None) -> None:
-        """Begins to keep the messages of a topic; ``messages`` and ``latest`` do so at their first call.
+        """Subscribes to a topic and stores its messages; ``messages`` and ``latest`` do so at their first call.
 
         Args:
-            topic: its name.
-            kind: message class; needed only before the topic has a publisher.
+            topic: name of the topic.
+            kind: message class; required only before the topic has a publisher.
         """
-        self._running.subscribe(topic, kind)
+        self._running_client.subscribe(topic, kind)
 
     def messages(self, topic: str) -> Sequence[Any]:
-        """Returns all messages of a topic since its subscription or a reset, the oldest first."""
-        return self._running.messages(topic)
+        """Returns all messages of a topic since its subscription or a reset, oldest first."""
+        return self._running_client.messages(topic)
 
     def latest(self, topic: str, timeout: float = 10.0) -> Any:
-        """Returns the newest message of a topic; where there is none yet, time passes until one arrives.
+        """Returns the latest message of a topic; advances time until one arrives if there is none.
 
         Args:
-            topic: its name.
+            topic: name of the topic.
             timeout: seconds of simulation time.
         """
-        return self.wait_until(lambda: self._newest(topic), timeout, what=f"a message on {topic}")[0]
+        return self.wait_until(lambda: self._latest(topic), timeout, what=f"a message on {topic}")[0]
 
-    def _newest(self, topic: str) -> Sequence[Any]:
-        client = self._running
+    def _latest(self, topic: str) -> Sequence[Any]:
+        client = self._running_client
         if not client.is_subscribed(topic) and client.resolve(topic) not in client.topics() and client.now:
-            return ()  # it may get a publisher while time passes
+            return ()  # the topic may get a publisher while time advances
         return client.messages(topic)[-1:]
 
     # The robot's programs
@@ -397,42 +397,44 @@ class HeadlessSimulation:
         may_fail: bool = False,
         patience: float = 60.0,
     ) -> Program:
-        """Starts a program of the robot in the domain of the simulation; it ends, with all that it started, at the end of the test at the latest.
+        """Starts a program of the robot in the simulation's domain; it ends with all its descendants at the latest at the end of the test.
 
-        With ``answers``, every tick waits until the program has answered it, so that time passes as fast as both can, and the run repeats if the
-        program's decisions do not depend on wall time. Without, the simulation runs in real time from now on, unless the setting ``rate`` is
-        given: the program could not keep up with a faster one.
+        With ``answers``, every tick waits for the program's answer: time advances as fast as both can, and the run is repeatable if the program's
+        decisions do not depend on wall time. Without it, the simulation switches to real time unless the setting ``rate`` is given, since the
+        program could not keep up with a faster simulation.
 
         Args:
             command: program and arguments, as for ``subprocess.Popen``.
-            answers: rule of lockstep, ``TOPIC after TOPIC`` or ``TOPIC every SECONDS``, such as ``cmd_vel after scan``: what the program publishes
-                in answer to what; empty = time does not wait for it.
-            environment: further variables.
-            may_fail: whether it may end with an exit code other than 0; otherwise the next call after that raises.
-            patience: with ``answers``, seconds of wall time until it must publish the topic.
+            answers: lockstep rule, ``TOPIC after TOPIC`` or ``TOPIC every SECONDS``, such as ``cmd_vel after scan``; the first topic is the
+                program's answer; empty = time does not wait for the program.
+            environment: additional environment variables.
+            may_fail: whether a nonzero exit code is allowed; otherwise the next call after such an end raises.
+            patience: with ``answers``, timeout for the program's publisher of the topic, seconds of wall time.
         """
         from gibson_sim.ros.client.answers import parse_rule
 
-        client = self._running
-        earlier: frozenset[tuple[int, ...]] = frozenset()
+        client = self._running_client
+        existing: frozenset[tuple[int, ...]] = frozenset()
         if answers:
-            earlier = client.publishers(parse_rule(answers).answer)
+            existing = client.publishers(parse_rule(answers).answer)
             if not self.settings.lockstep:
-                raise ConfigError("answers is given, but time waits for nothing with lockstep=False: leave one of them out")
+                raise ConfigError(
+                    "answers is given, but with lockstep=False time does not wait for programs: leave one of them out"
+                )
         elif self.settings.lockstep and not self.settings.has_rate:
             client.set_rate(1.0)
         program = Program(command, {**self.environment, **(environment or {})}, self._folder, may_fail=may_fail)
         self._programs.append(program)
         if answers:
-            client.follow(answers, earlier, lambda: program.returncode is not None, patience)
+            client.follow(answers, existing, lambda: program.returncode is not None, patience)
         return program
 
     @property
     def programs(self) -> tuple[Program, ...]:
-        """All programs that were started since the beginning of the test."""
+        """All programs started since the beginning of the test."""
         return tuple(self._programs)
 
-    # What a report shows
+    # Report
 
     @property
     def log(self) -> str:
@@ -440,42 +442,42 @@ class HeadlessSimulation:
         return self._process.log if self._process is not None else ""
 
     def summary(self) -> str:
-        """Returns time, poses and collisions in one line, as they are known; it never waits."""
+        """Returns the latest known time, poses and collisions in one line; never waits."""
         if self._client is None:
             return self._last_summary or "it is closed"
         client = self._client
         parts = [f"at {client.now:.3f} s"]
         for robot in self.settings.robots:
             pose = client.last_pose(robot)
-            parts.append(f"{robot} at {pose}" if pose is not None else f"{robot}'s pose is not known")
-        found = client.collisions()
-        listed = ", ".join(map(str, found[-_MOST_COLLISIONS:]))
-        more = f" ({len(found) - _MOST_COLLISIONS} more before)" if len(found) > _MOST_COLLISIONS else ""
-        return "; ".join([*parts, f"collided with {listed}{more}" if found else "no collisions"])
+            parts.append(f"{robot} at {pose}" if pose is not None else f"{robot}'s pose is unknown")
+        collisions = client.collisions()
+        listed = ", ".join(map(str, collisions[-_MOST_COLLISIONS:]))
+        more = f" ({len(collisions) - _MOST_COLLISIONS} earlier ones)" if len(collisions) > _MOST_COLLISIONS else ""
+        return "; ".join([*parts, f"collided with {listed}{more}" if collisions else "no collisions"])
 
     def report_sections(self) -> list[tuple[str, str]]:
-        """Returns title and text of what the report of a failed test shows; it never waits."""
+        """Returns the sections of a failed test's report as (title, text); never waits."""
         sections = [("simulation", f"ROS domain {self.domain_id}, {self.summary()}"), ("log of the simulation", self.log)]
         for program in self._programs:
             code = program.returncode
-            how = "which runs" if code is None else f"which ended with code {code}"
-            sections.append((f"output of `{program.name}`, {how}", program.output))
+            state = "which is running" if code is None else f"which ended with code {code}"
+            sections.append((f"output of `{program.name}`, {state}", program.output))
         if self.bag is not None:
-            sections.append(("recording", f"{self.bag}\nrepeat it: gibson-sim replay {self.bag} --verify"))
+            sections.append(("recording", f"{self.bag}\nreplay: gibson-sim replay {self.bag} --verify"))
         return sections
 
     # End
 
     @property
     def is_usable(self) -> bool:
-        """Whether it runs and can be reset for another test."""
+        """Whether the simulation is running and can be reset for another test."""
         return self._client is not None and self._process is not None and not self._process.has_ended
 
-    def begin_again(self) -> None:
-        """Ends the programs and the subscriptions of a test, and resets, for the next test."""
+    def restart(self) -> None:
+        """Ends the programs and subscriptions of a test and resets the simulation for the next test."""
         had_programs = bool(self._programs)
         self.stop_programs()
-        client = self._running
+        client = self._running_client
         client.unsubscribe_all()
         if had_programs and not self.settings.has_rate:
             client.set_rate(self.settings.physics.rate)
@@ -486,7 +488,7 @@ class HeadlessSimulation:
                 client.next_tick()
 
     def stop_programs(self) -> None:
-        """Ends the programs that ``start`` started, the last one first."""
+        """Ends the programs started by ``start``, the last one first."""
         while self._programs:
             self._programs[-1].stop()
             self._programs.pop()
@@ -512,18 +514,18 @@ class HeadlessSimulation:
         self.close()
 
 
-def _place(at: Sequence[float]) -> At:
+def _pose(at: Sequence[float]) -> PlanarPose:
     try:
         x, y, yaw = (float(value) for value in at)
     except (TypeError, ValueError):
-        raise ConfigError(f"the place {quoted(at)} must be three numbers: x and y in metres, yaw in radians") from None
+        raise ConfigError(f"the pose {quoted(at)} must be three numbers: x and y in metres, yaw in radians") from None
     if not all(map(math.isfinite, (x, y, yaw))):
-        raise ConfigError(f"the place {quoted(at)} must be three finite numbers: x and y in metres, yaw in radians")
+        raise ConfigError(f"the pose {quoted(at)} must be three finite numbers: x and y in metres, yaw in radians")
     return x, y, yaw
 
 
 def _source(condition: Callable[[], Any]) -> str:
-    """Returns the source of a condition in one line, for a message."""
+    """Returns the source code of a condition, first line, for a message."""
     try:
         text = textwrap.dedent(inspect.getsource(condition)).strip()
     except (OSError, TypeError, SyntaxError):

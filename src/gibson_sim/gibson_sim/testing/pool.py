@@ -1,4 +1,4 @@
-"""Simulations of a test session: one runs at a time, and the next test gets it, reset, if it asks for the same settings."""
+"""Simulations of a test session: one runs at a time and is reset and reused by the next test with the same settings."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from gibson_sim.testing.settings import SimulationSettings
 
 
 class SimulationPool:
-    """Starts simulations when tests ask for them, and ends them."""
+    """Starts simulations on request of tests, and ends them."""
 
     def __init__(self, domains: str, folder: Path) -> None:
-        """Starts nothing yet.
+        """Creates a pool; starts no simulation.
 
         Args:
             domains: range of ROS domains.
-            folder: from which relative paths in settings count.
+            folder: folder to which relative paths in settings refer.
         """
         self._domains, self._folder = domains, folder
         self._kept: HeadlessSimulation | None = None
         self._others: list[HeadlessSimulation] = []
         self._started = 0
 
-    def take(self, given: dict[str, Any], bag: Path) -> HeadlessSimulation:
-        """Returns a simulation at its start: the kept one, reset, if its settings are these.
+    def acquire(self, given: dict[str, Any], bag: Path) -> HeadlessSimulation:
+        """Returns a simulation in its initial state: the kept one, reset, if its settings are equal to the given ones.
 
         Args:
             given: settings of the simulation by name.
-            bag: folder of the recording, if one is asked for.
+            bag: folder of the recording, used if the settings request one.
 
         Raises:
-            GibsonSimError: it cannot start.
+            GibsonSimError: the simulation cannot start.
         """
         settings = SimulationSettings.of(given)
         kept, self._kept = self._kept, None
         if kept is not None:
             if kept.is_usable and kept.settings == settings and not settings.fresh and not settings.record:
                 try:
-                    kept.begin_again()
-                except GibsonSimError:  # a test may have left it in a state from which there is no way back
+                    kept.restart()
+                except GibsonSimError:  # a test may have left the simulation in a state that cannot be reset
                     kept.close()
                 else:
                     self._kept = kept
@@ -55,16 +55,16 @@ class SimulationPool:
         return simulation
 
     def start(self, given: dict[str, Any], bag: Path | None = None) -> HeadlessSimulation:
-        """Returns a new simulation, which ends with the session at the latest."""
-        self._started += 1  # another domain than before: what is left of an ended participant takes others seconds to forget
+        """Returns a new simulation, which ends at the latest with the session."""
+        self._started += 1  # use a new domain: other participants take seconds to drop an ended one
         simulation = HeadlessSimulation(
             domains=self._domains, folder=self._folder, bag=bag, first_domain=os.getpid() + self._started, **given
         )
         self._others.append(simulation)
         return simulation
 
-    def give_back(self, simulation: HeadlessSimulation) -> None:
-        """Ends what a test started in its simulation; the simulation itself is kept for the next test, unless it is for one test alone."""
+    def release(self, simulation: HeadlessSimulation) -> None:
+        """Ends the programs that a test started; keeps the simulation for the next test unless it serves one test only."""
         if simulation.settings.fresh or simulation.settings.record or not simulation.is_usable:
             simulation.close()
         else:

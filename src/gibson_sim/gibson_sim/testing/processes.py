@@ -1,4 +1,4 @@
-"""Processes of a test: the simulation and the robot's programs, each with its output in a file without a name, so that nothing is left of it."""
+"""Processes of a test: the simulation and the robot's programs, each with its output in an unnamed file that leaves no trace."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.processes.job_folder import VARIABLE
 from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.quoting import quoted
-from gibson_sim.testing.contained_process import contained
+from gibson_sim.testing.contained_process import contained_command
 from gibson_sim.testing.settings import PARTICIPANT, SimulationSettings
 
 __tracebackhide__ = True
-"""pytest shows the line of the test, not those of this module; ``--full-trace`` shows all."""
+"""pytest shows the line of the test instead of lines of this module; ``--full-trace`` shows all."""
 DOMAINS = "1-101"
-"""ROS domains that tests use by default: those whose ports lie below the ones that Linux hands out to others."""
-OF_THE_NODES = (PARENT_VARIABLE, VARIABLE)
-"""Variables that only the simulation's own nodes may have."""
+"""Default range of ROS domains for tests: those whose ports lie below the kernel's ephemeral ports."""
+NODE_VARIABLES = (PARENT_VARIABLE, VARIABLE)
+"""Environment variables reserved for the simulation's own nodes."""
 _MOST_TAIL = 16_000
-"""Bytes of an output that a report shows."""
+"""Size of the end of an output that a report shows, bytes."""
 _END_S = 40.0
-"""Wall time within which a process that was asked to end must have ended, s."""
+"""Wall time for a process to end after SIGINT, s."""
 _ERROR = re.compile(r"^(?:error: |.*\b(?:ERROR|FATAL)\b[]: ]*)(?P<text>.+)$", re.MULTILINE)
 _OWN_WAIT = re.compile(rf"waiting for '{PARTICIPANT}' to finish the tick at [^,]*$")
-"""Warning of the simulation that it waits for the test alone, as it should between two calls."""
+"""Warning of the simulation that it waits only for the test, which is normal between two calls."""
 
 
 class OutputFile:
-    """Receives the output of a process; can be read at any time."""
+    """Unnamed file for the output of a process; readable at any time."""
 
     def __init__(self) -> None:
         self._file: IO[bytes] | None = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close
@@ -46,19 +46,19 @@ class OutputFile:
 
     @property
     def stream(self) -> IO[bytes]:
-        """For ``subprocess.Popen``."""
+        """File object for ``subprocess.Popen``."""
         assert self._file is not None, "it is closed"
         return self._file
 
     def text(self) -> str:
-        """Returns the end of what was written, also once it is closed."""
+        """Returns the end of the output, also after ``close``."""
         if self._file is None:
             return self._last
         size = os.fstat(self._file.fileno()).st_size
         return os.pread(self._file.fileno(), _MOST_TAIL, max(0, size - _MOST_TAIL)).decode(errors="replace")
 
     def close(self) -> None:
-        """Frees the file."""
+        """Closes the file."""
         if self._file is not None:
             self._last = self.text()
             self._file.close()
@@ -69,16 +69,16 @@ class Program:
     """A program of the robot under test."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str], folder: Path, *, may_fail: bool = False) -> None:
-        """Starts it.
+        """Starts the program.
 
         Args:
-            command: the program and its arguments, without a shell.
-            environment: all of its variables.
-            folder: in which it runs.
-            may_fail: whether it may end with an exit code other than 0.
+            command: program and arguments, without a shell.
+            environment: complete environment.
+            folder: working folder.
+            may_fail: whether a nonzero exit code is allowed.
 
         Raises:
-            ConfigError: the command is empty, or a text.
+            ConfigError: the command is empty, or not a list.
         """
         if isinstance(command, str) or not command or not all(isinstance(word, str | os.PathLike) for word in command):
             raise ConfigError(
@@ -88,7 +88,7 @@ class Program:
         self.may_fail = may_fail
         self._output = OutputFile()
         self._process = subprocess.Popen(
-            contained(self.command), env=dict(environment), cwd=folder, stdin=subprocess.DEVNULL, stdout=self._output.stream,
+            contained_command(self.command), env=dict(environment), cwd=folder, stdin=subprocess.DEVNULL, stdout=self._output.stream,
             stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
 
@@ -100,39 +100,39 @@ class Program:
 
     @property
     def returncode(self) -> int | None:
-        """Exit code, 128 + n for signal n; None = it runs."""
+        """Exit code, 128 + n for signal n; None = the program is running."""
         return self._process.poll()
 
     @property
     def output(self) -> str:
-        """The end of what it printed."""
+        """The end of the program's output."""
         return self._output.text()
 
     def check(self) -> None:
-        """Raises GibsonSimError if it has failed."""
+        """Raises GibsonSimError if the program has failed."""
         code = self.returncode
         if code and not self.may_fail:
             last = next((line for line in reversed(self.output.splitlines()) if line.strip()), "it printed nothing")
             raise GibsonSimError(f"the program `{self.name}` ended with code {code}: {last}")
 
     def stop(self) -> None:
-        """Ends it and all that it started: by SIGINT, and then by SIGTERM and SIGKILL."""
+        """Ends the program and its descendants with SIGINT, then SIGTERM and SIGKILL."""
         _end(self._process)
         self._output.close()
 
 
 class SimulationProcess:
-    """A simulation in a process of its own, which ends with this one."""
+    """A simulation in its own process, which ends with this process."""
 
     def __init__(
         self, settings: SimulationSettings, environment: Mapping[str, str], folder: Path, bag: Path | None = None
     ) -> None:
-        """Starts it.
+        """Starts the simulation.
 
         Args:
-            settings: of the simulation.
-            environment: its variables, ``ROS_DOMAIN_ID`` among them.
-            folder: from which relative paths in the settings count.
+            settings: settings of the simulation.
+            environment: complete environment, including ``ROS_DOMAIN_ID``.
+            folder: folder to which relative paths in the settings refer.
             bag: folder of the recording; None = none.
         """
         command = [sys.executable, "-m", "gibson_sim.testing.headless_main", str(os.getpid()), settings.to_text()]
@@ -144,42 +144,42 @@ class SimulationProcess:
 
     @property
     def has_ended(self) -> bool:
-        """Whether it does not run any more."""
+        """Whether the process has ended."""
         return self._process.poll() is not None
 
     @property
     def log(self) -> str:
-        """The end of its log, without warnings that time stands still between two calls of the test."""
+        """The end of the log, without warnings that time waits between two calls of the test."""
         return "\n".join(line for line in self._output.text().splitlines() if not _OWN_WAIT.search(line))
 
     @property
     def waits_for(self) -> str:
-        """The last line of its log that says what it waits for; empty if there is none."""
+        """The last line of the log about what the simulation waits for; empty = none."""
         return next((line for line in reversed(self.log.splitlines()) if "waiting for" in line), "")
 
     def error(self) -> GibsonSimError:
-        """Returns the error with which it ended."""
-        found = [match["text"] for match in _ERROR.finditer(self._output.text())]
+        """Returns the error with which the simulation ended."""
+        errors = [match["text"] for match in _ERROR.finditer(self._output.text())]
         code = self._process.poll()
-        text = found[-1] if found else _ending(code)
+        text = errors[-1] if errors else _exit_text(code)
         kind = AlreadyRunningError if "a simulation runs in ROS domain" in text else GibsonSimError
         return kind(text)
 
     def stop(self) -> None:
-        """Ends it in order: its bag is closed."""
+        """Ends the simulation gracefully, so that its bag is closed."""
         _end(self._process)
         self._output.close()
 
 
-def _ending(code: int | None) -> str:
-    """Returns how a process ended by its exit code, negative for a signal; None = it runs."""
+def _exit_text(code: int | None) -> str:
+    """Returns a description of an exit code; negative = the signal, None = the process is running."""
     if code is None:
-        return "it runs"
+        return "it is running"
     return f"it ended with code {code}" if code >= 0 else f"it was killed by {signal.Signals(-code).name}"
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Sends SIGINT, and SIGKILL to a process that does not obey; waits for its end."""
+    """Sends SIGINT, then SIGKILL if the process does not end; waits for its end."""
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
     deadline = time.monotonic() + _END_S
@@ -191,14 +191,14 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def free_domains(text: str, begin: int) -> Iterator[int]:
-    """Yields the ROS domains of a range in which no simulation runs at the moment, beginning somewhere in it.
+    """Yields the ROS domains of a range in which no simulation is running, from a given position onwards.
 
     Args:
-        text: ``first-last``, or one number.
-        begin: place in the range at which to begin, modulo its length: processes that begin apart rarely try the same domain.
+        text: ``first-last``, or a single number.
+        begin: first position in the range, modulo its length; different positions keep processes from trying the same domain.
 
     Raises:
-        ConfigError: the text is no range from 0 to 231, or a simulation runs in each of its domains.
+        ConfigError: the text is not a range within 0 to 231, or a simulation runs in each of its domains.
     """
     first, _, last = text.strip().partition("-")
     if not (first.isdecimal() and (last or first).isdecimal() and int(first) <= int(last or first) <= 231):
@@ -218,16 +218,16 @@ def free_domains(text: str, begin: int) -> Iterator[int]:
 
 @contextmanager
 def variables_set(environment: Mapping[str, str]) -> Iterator[None]:
-    """Makes the variables of this process those of an environment in a block, so that nodes made in it find the simulation."""
-    before = dict(os.environ)
-    _change_variables({name: text for name, text in environment.items() if name not in OF_THE_NODES})
+    """Replaces the environment of this process within a block, so that nodes created in it find the simulation."""
+    previous = dict(os.environ)
+    _replace_environment({name: text for name, text in environment.items() if name not in NODE_VARIABLES})
     try:
         yield
     finally:
-        _change_variables(before)
+        _replace_environment(previous)
 
 
-def _change_variables(to: Mapping[str, str]) -> None:
-    for name in os.environ.keys() - to.keys():
+def _replace_environment(variables: Mapping[str, str]) -> None:
+    for name in os.environ.keys() - variables.keys():
         del os.environ[name]
-    os.environ.update({name: text for name, text in to.items() if os.environ.get(name) != text})
+    os.environ.update({name: text for name, text in variables.items() if os.environ.get(name) != text})

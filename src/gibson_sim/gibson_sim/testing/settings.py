@@ -1,4 +1,4 @@
-"""What a test asks of its simulation: ``@pytest.mark.simulation(scene="flat", seed=3, cameras=True)``."""
+"""Settings of a test's simulation: ``@pytest.mark.simulation(scene="flat", seed=3, cameras=True)``."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from gibson_sim.quoting import quoted
 from gibson_sim.settings import nearest
 
 SCENE = "flat"
-"""Scene of a test that names none: the one that loads most quickly."""
+"""Default scene: the one that loads fastest."""
 PARTICIPANT = "simulation_test"
-"""Name of the test's node, which takes part in lockstep."""
-OWN = {"lockstep": bool, "cameras": bool, "record": bool, "fresh": bool}
-"""Settings besides those of the nodes, and their types."""
-_OURS = ("digests", "summary_path", "wait_for", "service_prefix")
+"""Name of the test's node as a lockstep participant."""
+TEST_SETTINGS = {"lockstep": bool, "cameras": bool, "record": bool, "fresh": bool}
+"""Settings in addition to those of the nodes, and their types."""
+_RESERVED = ("digests", "summary_path", "wait_for", "service_prefix")
 """Settings of the nodes that tests cannot choose."""
 _FOREVER_S = 86_400.0
-"""The test is a participant itself, and may stand at a breakpoint, seconds of wall time."""
+"""Timeout of the participants, seconds of wall time: the test is a participant itself and may stop at a breakpoint."""
 
 
 @dataclass(frozen=True)
@@ -30,63 +30,63 @@ class SimulationSettings:
 
     physics: PhysicsConfig
     render: RenderConfig | None
-    """None = no cameras."""
+    """Settings of the render node; None = no cameras."""
     lockstep: bool
-    """Time passes only while the test lets it."""
+    """Whether time advances only in calls of the test."""
     has_rate: bool
-    """The rate was given, and is not to be changed for the robot's programs."""
+    """Whether the rate was given and must not be changed for the robot's programs."""
     record: bool
-    """Record a bag of the test."""
+    """Whether to record a bag of the test."""
     fresh: bool
-    """Start a simulation for this test alone."""
+    """Whether to start a simulation for this test only."""
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> SimulationSettings:
-        """Returns the settings that a test gave by name.
+        """Returns the settings for values given by name.
 
         Raises:
             ConfigError: a name is unknown, or a value is not allowed.
         """
-        own = {name: kind() for name, kind in OWN.items()} | {"lockstep": True}
+        test_values = {name: kind() for name, kind in TEST_SETTINGS.items()} | {"lockstep": True}
         physics: dict[str, Any] = {"scene": SCENE, "digests": True}
         render: dict[str, Any] = {}
         if "participants" in given:
             raise ConfigError(
-                "simulation setting 'participants' would have time wait for programs before the test can start them: give each its rule by "
+                "simulation setting 'participants' would make time wait for programs before the test can start them: give each a rule with "
                 'sim.start([...], answers="cmd_vel after scan")'
             )
-        names = {config: [f.name for f in fields(config) if f.name not in _OURS] for config in (PhysicsConfig, RenderConfig)}
+        names = {config: [f.name for f in fields(config) if f.name not in _RESERVED] for config in (PhysicsConfig, RenderConfig)}
         for name, value in given.items():
-            if name in OWN:
+            if name in TEST_SETTINGS:
                 if not isinstance(value, bool):
                     raise ConfigError(f"simulation setting {quoted(name)} is {quoted(value)}, must be True or False")
-                own[name] = value
+                test_values[name] = value
             elif name in names[PhysicsConfig]:
                 physics[name] = value
             elif name in names[RenderConfig]:
                 render[name] = value
             else:
-                known = [*OWN, *names[PhysicsConfig], *names[RenderConfig]]
+                known = [*TEST_SETTINGS, *names[PhysicsConfig], *names[RenderConfig]]
                 hint = nearest(name, known)
                 raise ConfigError(
                     f"simulation setting {quoted(name)} is unknown{f'; {hint}' if hint else ''}; see `gibson-sim params` for all"
                 )
-        if render and not own["cameras"]:
+        if render and not test_values["cameras"]:
             raise ConfigError(
-                f"simulation setting {quoted(next(iter(render)))} is given without cameras=True: add that, or leave it out"
+                f"simulation setting {quoted(next(iter(render)))} is given without cameras=True: add cameras=True, or leave the setting out"
             )
-        if own["lockstep"]:
-            ours = [PARTICIPANT] + ["render"] * own["cameras"] + ["record"] * own["record"]
-            physics["participants"] = "; ".join(ours)
+        if test_values["lockstep"]:
+            participants = [PARTICIPANT] + ["render"] * test_values["cameras"] + ["record"] * test_values["record"]
+            physics["participants"] = "; ".join(participants)
             physics.setdefault("participant_timeout", _FOREVER_S)
-        physics["lockstep"] = own["lockstep"]
-        physics.setdefault("rate", 0.0 if own["lockstep"] else 1.0)
+        physics["lockstep"] = test_values["lockstep"]
+        physics.setdefault("rate", 0.0 if test_values["lockstep"] else 1.0)
         config = PhysicsConfig(**physics)
         if "contacts_rate" not in physics:
             config = PhysicsConfig(**physics, contacts_rate=float(config.publish_hz))
         return cls(
-            config, RenderConfig(**render, digests=True) if own["cameras"] else None, own["lockstep"], "rate" in given,
-            own["record"], own["fresh"],
+            config, RenderConfig(**render, digests=True) if test_values["cameras"] else None, test_values["lockstep"], "rate" in given,
+            test_values["record"], test_values["fresh"],
         )  # fmt: skip
 
     @property
@@ -96,11 +96,11 @@ class SimulationSettings:
         return tuple(entry.partition("=")[0].strip() for entry in entries) if "=" in self.physics.robot else ("robot",)
 
     def namespace(self, robot: str) -> str:
-        """Returns the namespace of a robot's topics, with a slash at its end; empty for a single robot."""
+        """Returns the namespace of a robot's topics with a trailing slash; empty for a single robot."""
         return f"{robot}/" if "=" in self.physics.robot else ""
 
     def to_text(self) -> str:
-        """Returns all that the process of the simulation needs, as JSON."""
+        """Returns the settings for the process of the simulation as JSON."""
         nodes: dict[str, Any] = {"physics": self.physics, **({"render": self.render} if self.render is not None else {})}
         values = {name: {f.name: getattr(config, f.name) for f in fields(config)} for name, config in nodes.items()}
         return json.dumps({"nodes": values, "record": self.record})
