@@ -58,7 +58,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
         command = f"gibson-sim scene generate --kind {kind} --seed {seed} --name {shlex.quote(name)} --quality {args.quality}"
         make_scene(
             plan_building(kind, seed, name), QUALITIES[args.quality], folder,
-            python=args.blender_python, resume=args.resume, command=command, tell=_print_progress,
+            python=args.blender_python, resume=args.resume, command=command, report=_print_progress,
         )  # fmt: skip
         print(f"{folder}: {sum(f.stat().st_size for f in folder.rglob('*') if f.is_file()) / 1e6:.1f} MB")
     return ExitCode.OK

@@ -1,4 +1,4 @@
-"""Runs Blender on a plan in a separate process, and makes the scene folder from the bake."""
+"""Runs Blender on a plan in a separate process, and writes the scene folder from the bake."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from gibson_sim_tools.making.pictures import write_thumbnail
 from gibson_sim_tools.making.scene_folder import write_scene_folder
 from gibson_sim_tools.making.surroundings import write_surroundings
 
-Tell = Callable[[str, float, float | None], None]
-"""Receives the current task, the fraction that is done (0 to 1), and the seconds left (None = unknown)."""
-_LAST_LINES = 12
+ReportProgress = Callable[[str, float, float | None], None]
+"""Callback; receives the current task, the completed fraction (0 to 1), and the remaining seconds (None = unknown)."""
+_MAX_LOG_LINES = 12
+"""Number of last lines of Blender's log in an error message."""
 
 
 def make_scene(
@@ -37,18 +38,18 @@ def make_scene(
     python: str = sys.executable,
     resume: bool = False,
     command: str = "",
-    tell: Tell,
+    report: ReportProgress,
 ) -> None:
     """Bakes a building and writes its scene.
 
     Args:
         building: the plan.
         quality: resolution and samples.
-        folder: of the scene; new, or with an earlier scene of the generator.
-        python: interpreter with Blender.
+        folder: folder of the scene; new, or with an earlier scene of the generator.
+        python: Python interpreter with Blender.
         resume: continue an interrupted run of the same plan.
         command: command line recorded in the scene.
-        tell: progress callback.
+        report: progress callback.
 
     Raises:
         SceneError: Blender is missing or failed, or the scene became too large.
@@ -59,13 +60,13 @@ def make_scene(
         shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True, exist_ok=True)
     write_plan(work / "plan.json", building, quality)
-    _bake(python, work, tell)
+    _bake(python, work, report)
     white = write_scene_folder(building, quality, work, folder, command)
-    tell("surroundings", 1.0, None)
+    report("surroundings", 1.0, None)
     write_surroundings(folder, building, white)
-    tell("maps", 1.0, None)
+    report("maps", 1.0, None)
     write_scene_files(folder)
-    tell("thumbnail", 1.0, None)
+    report("thumbnail", 1.0, None)
     write_thumbnail(folder, building)
     shutil.rmtree(work)
 
@@ -77,26 +78,26 @@ def work_folder(building: Building, quality: Quality) -> Path:
 
 
 def check_blender(python: str) -> None:
-    """Checks that an interpreter has Blender.
+    """Checks that a Python interpreter has Blender.
 
     Raises:
-        SceneError: it has not, or does not run.
+        SceneError: Blender is missing, or the interpreter does not run.
     """
     try:
-        found = subprocess.run(
+        result = subprocess.run(
             [python, "-c", "import importlib.util as u, sys; sys.exit(u.find_spec('bpy') is None)"],
             check=False,
             capture_output=True,
         )
     except OSError as e:
         raise SceneError(f"--blender-python {python}: cannot be run: {e.strerror or e}; name a Python that has bpy") from e
-    if found.returncode:
+    if result.returncode:
         raise SceneError(
             f"{python}: has no Blender; `pip install 'gibson_sim_tools[authoring]'` into it, or name one that has bpy with --blender-python"
         )
 
 
-def _bake(python: str, work: Path, tell: Tell) -> None:
+def _bake(python: str, work: Path, report: ReportProgress) -> None:
     environment = {**os.environ, "PYTHONPATH": package_path(), "PYTHONWARNINGS": "ignore"}
     command = [python, "-m", "gibson_sim_tools.making.blender", str(work / "plan.json"), str(work)]
     log = work / "blender.log"
@@ -105,24 +106,24 @@ def _bake(python: str, work: Path, tell: Tell) -> None:
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment) as process,
     ):
         assert process.stdout is not None
-        left = _TimeLeft()
+        time_left = _TimeLeft()
         try:
             for line in process.stdout:
                 message = _message(line)
                 if message is not None:
-                    tell(message["text"], message["done"], left.after(message["done"], time.monotonic()))
+                    report(message["text"], message["done"], time_left.estimate(message["done"], time.monotonic()))
         except BaseException:
             process.terminate()
             raise
     if process.returncode:
-        last = " | ".join(log.read_text(errors="replace").splitlines()[-_LAST_LINES:])
+        last_lines = " | ".join(log.read_text(errors="replace").splitlines()[-_MAX_LOG_LINES:])
         raise SceneError(
-            f"Blender ended with exit code {process.returncode}: {last or 'it said nothing'}; --resume goes on where it stopped"
+            f"Blender ended with exit code {process.returncode}: {last_lines or 'no output'}; --resume continues from there"
         )
 
 
 def _message(line: str) -> dict[str, Any] | None:
-    """Returns the message in an output line, or None for a line of Blender's own."""
+    """Returns the progress message in an output line; None for other output of Blender."""
     try:
         message = json.loads(line)
     except ValueError:
@@ -136,9 +137,9 @@ class _TimeLeft:
     def __init__(self) -> None:
         self._first: tuple[float, float] | None = None
 
-    def after(self, done: float, now_s: float) -> float | None:
-        """Returns the seconds left; None = unknown yet."""
+    def estimate(self, done: float, now_s: float) -> float | None:
+        """Returns the remaining seconds; None = not yet known. ``done``: completed fraction, ``now_s``: monotonic time."""
         if self._first is None:
             self._first = (done, now_s)
-        part, since = done - self._first[0], now_s - self._first[1]
-        return None if part < 0.05 else since / part * (1.0 - done)
+        progress, elapsed_s = done - self._first[0], now_s - self._first[1]
+        return None if progress < 0.05 else elapsed_s / progress * (1.0 - done)

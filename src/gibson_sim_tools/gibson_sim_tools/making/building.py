@@ -1,7 +1,7 @@
-"""The plan of a building: rooms, walls, openings, furniture, lamps; the planner makes it, the modeller builds it. Plain values.
+"""Plan of a building: rooms, walls, openings, furniture, lamps. Output of the planner, input of the modeller. Plain values.
 
 The frame is that of the scene: z up, metres, the ground floor at z = 0. The frame of a piece of furniture has its origin at the centre of the
-underside, x to its front, y to its left.
+underside, x to the front, y to the left.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ OpeningKind = Literal["door", "window", "passage"]
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A hole in a wall."""
+    """An opening in a wall: door, window or passage."""
 
     kind: OpeningKind
     middle: float
-    """From the start of the wall to the middle of the opening, metres along it."""
+    """Distance from the start of the wall to the middle of the opening, m."""
     width: float
+    """Width of the opening, m."""
     sill: float
-    """Height of its lower edge above the floor of its storey; 0 for doors and passages."""
+    """Height of the lower edge above the floor, m; 0 for doors and passages."""
     height: float
-    """Height of the opening."""
+    """Height of the opening, m."""
     swing: int = 0
     """Side to which a door opens: 1 = left of the wall's direction, -1 = right, 0 = no leaf."""
     hinge: Literal["start", "end"] = "start"
-    """Side of the opening, along the wall, with the hinge of a door."""
+    """End of the opening, along the wall, with the hinge of a door."""
     body: str = ""
-    """Name of the object (a folder of ``scenes/objects``) that is the movable leaf of a door; empty = none."""
+    """Name of the object (folder in ``scenes/objects``) for the movable leaf of a door; empty = none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +47,9 @@ class Wall:
     thickness: float
     height: float
     left: str = ""
-    """Name of the room on the left of its direction; empty = outside."""
+    """Name of the room to the left of its direction; empty = outside."""
     right: str = ""
+    """Name of the room to the right; empty = outside."""
     openings: tuple[Opening, ...] = ()
 
 
@@ -59,9 +61,9 @@ class Room:
     kind: str
     """``living``, ``kitchen``, ``bedroom``, ``bathroom``, ``hall``, ``corridor``, ``office``, ``meeting``, ``shop``, ``storage``, ..."""
     corners: tuple[Point, ...]
-    """Counter-clockwise, seen from above."""
+    """Corners, counter-clockwise seen from above, m."""
     floor: str = "oak_planks"
-    """Names of materials: see ``MATERIALS``."""
+    """Materials, from ``MATERIALS``."""
     walls: str = "plaster_white"
     ceiling: str = "plaster_white"
 
@@ -71,8 +73,9 @@ class Storey:
     """A storey: its rooms and walls."""
 
     floor_z: float
+    """Height of the floor, m."""
     height: float
-    """From the floor to the ceiling, metres."""
+    """Height of the ceiling above the floor, m."""
     rooms: tuple[Room, ...]
     walls: tuple[Wall, ...]
 
@@ -82,25 +85,26 @@ class Stair:
     """A straight flight from a storey to the one above."""
 
     storey: int
+    """Index of the lower storey."""
     foot: Point
-    """Middle of the lower edge of the first step."""
+    """Middle of the lower edge of the first step, m."""
     yaw: float
-    """Direction in which it rises, radians."""
+    """Direction of ascent, radians."""
     width: float
     tread: float
-    """Depth of a step, metres."""
+    """Depth of a step, m."""
     steps: int
     """Number of equal rises. The last rise ends on the floor above, so the flight is ``(steps - 1) * tread`` long."""
     hole: tuple[Point, ...]
-    """Corners of the hole in the floor above, counter-clockwise."""
+    """Corners of the opening in the floor above, counter-clockwise, m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Furniture, or any other static object."""
+    """A piece of furniture, or another static object."""
 
     name: str
-    """Unique in the building."""
+    """Name, unique in the building."""
     kind: str
     """Key of ``catalogue.CATALOGUE``."""
     storey: int
@@ -108,22 +112,22 @@ class Piece:
     position: Vec3
     yaw: float
     size: Vec3
-    """Depth (x), width (y), height (z), metres."""
+    """Depth (x), width (y), height (z), m."""
     seed: int = 0
-    """Decides its details and colours."""
+    """Seed of its details and colours."""
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A movable object of ``scenes/objects``."""
+    """A movable body: an object of ``scenes/objects``."""
 
     name: str
     model: str
-    """Name of the folder of the object."""
+    """Folder name of the object."""
     position: Vec3
     yaw: float = 0.0
     joints: Mapping[str, float] = field(default_factory=dict)
-    """Initial joint positions: radians or metres."""
+    """Initial joint positions, radians or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,13 +136,13 @@ class Lamp:
 
     kind: Literal["ceiling", "pendant", "floor", "desk", "panel", "spot"]
     position: Vec3
-    """Centre of the light-emitting part."""
+    """Centre of the light-emitting part, m."""
     power: float
-    """Power in Blender's watts."""
+    """Power, W, as defined by Blender."""
     temperature: float = 3000.0
-    """Kelvin."""
+    """Colour temperature, K."""
     size: float = 0.2
-    """Diameter or edge of the light-emitting part, metres."""
+    """Diameter or edge of the light-emitting part, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +156,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Building:
-    """The whole plan."""
+    """Plan of a whole building."""
 
     name: str
     kind: BuildingKind
@@ -168,7 +172,7 @@ class Building:
     sun: float = 3.0
     """Strength of the sun, W/m²."""
     sky: float = 1.0
-    """Strength of the sky."""
+    """Strength of the sky, relative to a typical one."""
 
 
 MATERIALS = (

@@ -1,4 +1,4 @@
-"""Reads and writes plans of buildings as JSON, for a program with another Python. NumPy only."""
+"""Reads and writes plans of buildings as JSON, for a process with another Python interpreter. NumPy only."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ class Quality:
     """Resolution and samples of a bake."""
 
     atlases: int
+    """Number of atlases."""
     size_px: int
     """Edge of each atlas, pixels; a multiple of 2."""
     samples: int
-    """Samples per pixel of the light."""
+    """Samples per pixel of the light pass."""
     jpeg: int = 85
     """JPEG quality, 1 to 100."""
 
@@ -43,7 +44,7 @@ QUALITIES = {
 
 
 def write_plan(path: Path, building: Building, quality: Quality) -> None:
-    """Writes a plan; equal plans give equal bytes."""
+    """Writes a plan; equal plans give identical files."""
     values = {"building": dataclasses.asdict(building), "quality": dataclasses.asdict(quality)}
     write_file(path, json.dumps(values, sort_keys=True, separators=(",", ":")) + "\n")
 
@@ -52,24 +53,24 @@ def read_plan(path: Path) -> tuple[Building, Quality]:
     """Reads a plan that ``write_plan`` wrote.
 
     Raises:
-        SceneError: the file holds no plan.
+        SceneError: the file is not a plan.
     """
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
         return _read(Building, values["building"]), _read(Quality, values["quality"])
     except (OSError, ValueError, KeyError, TypeError) as e:
-        raise SceneError(f"{path}: is not the plan of a building: {e}; make it again") from e
+        raise SceneError(f"{path}: is not the plan of a building: {e}; write it again") from e
 
 
-def _read(kind: Any, value: Any) -> Any:
-    """Returns a JSON value, converted to an annotated type."""
-    if dataclasses.is_dataclass(kind):
-        hints = typing.get_type_hints(kind)
-        return kind(**{f.name: _read(hints[f.name], value[f.name]) for f in dataclasses.fields(kind)})  # type: ignore[operator]
-    origin, args = typing.get_origin(kind), typing.get_args(kind)
+def _read(annotation: Any, value: Any) -> Any:
+    """Converts a JSON value to an annotated type."""
+    if dataclasses.is_dataclass(annotation):
+        hints = typing.get_type_hints(annotation)
+        return annotation(**{f.name: _read(hints[f.name], value[f.name]) for f in dataclasses.fields(annotation)})  # type: ignore[operator]
+    origin, args = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is tuple:
         items = args[:1] * len(value) if args[-1] is Ellipsis else args
         return tuple(_read(item, v) for item, v in zip(items, value, strict=True))
     if origin is Mapping:
         return {str(k): _read(args[1], v) for k, v in value.items()}
-    return value if origin is typing.Literal else kind(value)
+    return value if origin is typing.Literal else annotation(value)

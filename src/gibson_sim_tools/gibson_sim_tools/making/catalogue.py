@@ -1,4 +1,4 @@
-"""Kinds of furniture: size ranges, placement, whether objects stand on them. Shared by the planner and the modeller."""
+"""Catalogue of furniture: size ranges, placement, use as a table top. Shared by the planner and the modeller."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class PieceKind:
-    """A kind of furniture; sizes in metres."""
+    """A kind of furniture; ranges in metres."""
 
     semantic_class: str
     depth: Range
     width: Range
     height: Range
     stands: Literal["wall", "free", "corner", "ceiling", "hangs", "lies", "table"] = "wall"
-    """With its back to a wall; anywhere on the floor; in a corner; under the ceiling; on a wall; flat on the floor, to be walked on; on a table."""
+    """Placement: back to a wall; anywhere on the floor; in a corner; under the ceiling; on a wall; flat on the floor, as a rug; on a table."""
     front: float = 0.6
-    """Free floor before it, metres."""
+    """Depth of free floor in front of it, m."""
     lift: Range = (0.0, 0.0)
-    """Height of the underside above the floor; for ``ceiling``: distance of the underside below the ceiling."""
+    """Height of the underside above the floor, m; for ``ceiling``: distance of the underside below the ceiling."""
     top: bool = False
-    """Whether loose objects may stand on top of it."""
+    """Whether loose objects may be placed on top of it."""
 
 
 CATALOGUE: dict[str, PieceKind] = {
@@ -72,7 +72,7 @@ CATALOGUE: dict[str, PieceKind] = {
     "coat_rack": PieceKind("coat_rack", (0.2, 0.28), (0.7, 1.1), (0.3, 0.4), "hangs", 0.3, (1.5, 1.6)),
     "railing": PieceKind(
         "railing", (0.05, 0.06), (0.8, 5.0), (0.95, 1.0), "free", 0.0
-    ),  # around the hole of a stair; width along it
+    ),  # around the opening above a stair; its width is along the railing
     # Office
     "desk": PieceKind("desk", (0.7, 0.8), (1.2, 1.6), (0.72, 0.75), front=0.9, top=True),
     "office_chair": PieceKind("chair", (0.6, 0.65), (0.6, 0.65), (0.95, 1.1), "free", 0.0),

@@ -15,7 +15,7 @@ from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.writing import write_file
 
 F64 = NDArray[np.float64]
-_STEPS = 65535
+_MAX_QUANTISED = 65535
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class BakedMaterial:
     """A material with baked light."""
 
     texture: str = ""
-    """File name, beside the mesh; empty = one colour."""
+    """File name, beside the mesh; empty = plain colour."""
     color: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-    """sRGB and opacity."""
+    """sRGB colour and opacity, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -34,54 +34,54 @@ class Patch:
 
     material: BakedMaterial
     corners: F64
-    """(F, 3, 3): metres, z up."""
+    """Corners, (F, 3, 3), m, z up."""
     uv: F64 | None = None
-    """(F, 3, 2): 0 to 1 from the lower left; None without a texture."""
+    """Texture coordinates, (F, 3, 2), 0 to 1 from the lower left; None without a texture."""
 
 
 def write_glb(path: Path, patches: Sequence[Patch]) -> None:
-    """Writes an object; corners of equal position and texture coordinates become one vertex."""
-    every = np.concatenate([p.corners.reshape(-1, 3) for p in patches])
-    low, size = every.min(axis=0), np.maximum(np.ptp(every, axis=0), 1e-4)
+    """Writes an object; corners with equal position and texture coordinates share a vertex."""
+    all_corners = np.concatenate([p.corners.reshape(-1, 3) for p in patches])
+    low, size = all_corners.min(axis=0), np.maximum(np.ptp(all_corners, axis=0), 1e-4)
     builder = GlbBuilder()
     builder.require("KHR_mesh_quantization")
     for patch in patches:
-        columns = [np.round((patch.corners.reshape(-1, 3) - low) / size * _STEPS).astype(np.uint16)]
+        columns = [np.round((patch.corners.reshape(-1, 3) - low) / size * _MAX_QUANTISED).astype(np.uint16)]
         if patch.uv is not None:
             flipped = patch.uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]
-            columns.append(np.round(np.clip(flipped, 0, 1) * _STEPS).astype(np.uint16))
+            columns.append(np.round(np.clip(flipped, 0, 1) * _MAX_QUANTISED).astype(np.uint16))
         rows, index = np.unique(np.concatenate(columns, axis=1), axis=0, return_inverse=True)
         triangles = np.asarray(index).reshape(-1, 3)
         triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
         attributes = {"POSITION": builder.attribute(rows[:, :3], "u2", bounds=True)}
         if patch.uv is not None:
             attributes["TEXCOORD_0"] = builder.attribute(rows[:, 3:], "u2", normalized=True)
-        indices = builder.indices(triangles, "u2" if not len(triangles) or triangles.max() < _STEPS else "u4")
+        indices = builder.indices(triangles, "u2" if not len(triangles) or triangles.max() < _MAX_QUANTISED else "u4")
         builder.primitive(attributes, indices, builder.material(_material(patch.material, builder)))
-    # Quantised positions go from 0 to 65535 along the axes of our frame.
-    T_zup_quantised = np.block([[np.diag(size / _STEPS), low[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+    # Quantised positions range from 0 to 65535 along the axes of the z-up frame.
+    T_zup_quantised = np.block([[np.diag(size / _MAX_QUANTISED), low[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
     write_file(path, builder.to_bytes(path.stem, Z_UP_TO_Y_UP @ T_zup_quantised), durable=False)
 
 
 def write_boxes(path: Path, boxes: ArrayLike) -> None:
-    """Writes boxes (B, 2, 3), low and high corners, as one collision mesh."""
+    """Writes boxes, lower and upper corners (B, 2, 3), m, as one collision mesh."""
     pairs = np.asarray(boxes, dtype=float).reshape(-1, 2, 3)
-    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    unit_corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     quads = [(4, 6, 7, 5), (0, 1, 3, 2), (2, 3, 7, 6), (0, 4, 5, 1), (1, 5, 7, 3), (0, 2, 6, 4)]
     triangles = np.array([t for q in quads for t in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))])
-    points = np.where(corner[None], pairs[:, 1:2], pairs[:, :1])
-    write_glb(path, [Patch(BakedMaterial(), points[:, triangles].reshape(-1, 3, 3))])
+    corners = np.where(unit_corners[None], pairs[:, 1:2], pairs[:, :1])
+    write_glb(path, [Patch(BakedMaterial(), corners[:, triangles].reshape(-1, 3, 3))])
 
 
 def _material(material: BakedMaterial, builder: GlbBuilder) -> dict[str, Any]:
-    surface: dict[str, Any] = {
+    pbr: dict[str, Any] = {
         "baseColorFactor": [*linear_from_srgb(material.color[:3]).tolist(), material.color[3]],
         "metallicFactor": 0.0,
         "roughnessFactor": 1.0,
     }
     if material.texture:
-        surface["baseColorTexture"] = {"index": builder.texture_file(material.texture)}
-    out: dict[str, Any] = {"pbrMetallicRoughness": surface, "doubleSided": True, "extensions": {"KHR_materials_unlit": {}}}
+        pbr["baseColorTexture"] = {"index": builder.texture_file(material.texture)}
+    gltf_material: dict[str, Any] = {"pbrMetallicRoughness": pbr, "doubleSided": True, "extensions": {"KHR_materials_unlit": {}}}
     if material.color[3] < 1.0:
-        out["alphaMode"] = "BLEND"
-    return out
+        gltf_material["alphaMode"] = "BLEND"
+    return gltf_material

@@ -1,4 +1,4 @@
-"""Renders a finished scene: its thumbnail, and views for inspection."""
+"""Renders views of a finished scene, and its thumbnail."""
 
 from __future__ import annotations
 
@@ -18,43 +18,45 @@ from gibson_sim_tools.making.building import Building, Room, Start
 
 Rgb = NDArray[np.uint8]
 WIDTH, HEIGHT = 640, 480
+"""Size of a view, pixels."""
 EYE_HEIGHT = 1.35
-"""Metres above the floor."""
+"""Height of the camera above the floor, m."""
 _TILT = math.radians(8.0)
+"""Downward pitch of the camera, radians."""
 _FOV = math.radians(62.0)
 
 
-def eye(position: Vec3, yaw: float, pitch: float = _TILT) -> CameraSpec:
-    """Returns a camera in the scene; ``pitch``: downwards, radians."""
+def eye_camera(position: Vec3, yaw: float, pitch: float = _TILT) -> CameraSpec:
+    """Returns a camera at a position, m, world frame. ``yaw``: heading, ``pitch``: downwards, radians."""
     T = matrix_from_pose(pose_from_xyz_rpy(position, (0.0, pitch, yaw)))
     return CameraSpec(
         "eye", "", Pose(position, quat_from_matrix(T[:3, :3] @ R_LINK_OPTICAL)), WIDTH, HEIGHT, _FOV, outputs=("rgb",), samples=4
     )
 
 
-def views(folder: Path, cameras: Sequence[CameraSpec]) -> list[Rgb]:
-    """Returns pictures of a scene with its bodies in their initial poses, (480, 640, 3) uint8 sRGB."""
+def render_views(folder: Path, cameras: Sequence[CameraSpec]) -> list[Rgb]:
+    """Renders a scene with its bodies in their initial poses; returns (H, W, 3) uint8 sRGB images."""
     with Simulation(folder, None) as sim:
         return [frame.rgb for frame in sim.render_all(cameras) if frame.rgb is not None]
 
 
 def write_thumbnail(folder: Path, building: Building) -> None:
-    """Writes ``thumbnail.jpg``, the view from the first start in the largest room."""
+    """Writes ``thumbnail.jpg``, the view from the start pose in the largest room."""
     start = best_start(building)
     x, y, z = start.position
-    picture = views(folder, [eye((x, y, z + EYE_HEIGHT), start.yaw)])[0]
-    small = cv2.resize(picture, (WIDTH // 2, HEIGHT // 2), interpolation=cv2.INTER_AREA)
-    write_picture(folder / "thumbnail.jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+    picture = render_views(folder, [eye_camera((x, y, z + EYE_HEIGHT), start.yaw)])[0]
+    thumbnail = cv2.resize(picture, (WIDTH // 2, HEIGHT // 2), interpolation=cv2.INTER_AREA)
+    write_picture(folder / "thumbnail.jpg", cv2.cvtColor(thumbnail, cv2.COLOR_RGB2BGR))
 
 
 def best_start(building: Building) -> Start:
-    """Returns the start in the largest room, or the first one."""
+    """Returns the start pose in the largest room, or the first one."""
     rooms = sorted((room for storey in building.storeys for room in storey.rooms), key=_area, reverse=True)
     by_name = {start.name: start for start in building.starts}
     return next((by_name[room.name] for room in rooms if room.name in by_name), building.starts[0])
 
 
 def _area(room: Room) -> float:
-    """Returns the area of a room, square metres (shoelace formula)."""
+    """Returns the area of a room, m^2 (shoelace formula)."""
     x, y = np.asarray(room.corners, dtype=float).T
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2

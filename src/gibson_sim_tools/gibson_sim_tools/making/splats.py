@@ -1,6 +1,6 @@
-"""Makes Gaussian splats of a scene's own surfaces, so that what draws splats can be measured against the picture of the mesh.
+"""Generates Gaussian splats from the surfaces of a scene, as a reference: their image can be compared with that of the mesh.
 
-They are flat discs with the colours of the textures, as the surface looks without lamps: true for scenes whose light is baked in.
+They are flat discs with the unlit colours of the textures; that is correct for scenes with baked light.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 
 F64 = NDArray[np.float64]
-_WIDTH = 0.7
-"""Standard deviation of a disc, mean distances between splats."""
-_DRAWN = 5
-"""Random points for each splat, of which those are kept that are not beside another: so there are few gaps."""
-_SHIFT = 0.3719
+_RELATIVE_WIDTH = 0.7
+"""Standard deviation of a disc, as a multiple of the mean distance between splats."""
+_CANDIDATES_PER_SPLAT = 5
+"""Number of random points per splat; one per grid cell is kept, so that few gaps remain."""
+_GRID_SHIFT = 0.3719
+"""Offset of the grid, cells: floors and walls often lie at round coordinates, which must not be cell borders."""
 _FLATNESS = 0.1
-"""Standard deviation across the surface by that along it."""
+"""Ratio of the standard deviation normal to the surface to that along it."""
 _OPACITY = 0.95
 
 
@@ -35,88 +36,89 @@ def splats_of_scene(scene: SceneSpec, count: int, rng: np.random.Generator) -> S
     """Returns about ``count`` splats on the opaque static surfaces of a scene, world frame, metres.
 
     Raises:
-        SceneError: it has no such surface.
+        SceneError: the scene has no such surface.
     """
     loader = MeshLoader(scene_roots(scene))
-    pieces: list[tuple[MeshPart, F64, NDArray[np.float64] | None]] = []
+    sampled_parts: list[tuple[MeshPart, F64, NDArray[np.float64] | None]] = []
     for visual in scene.visuals:
         if visual.color is not None and visual.color[3] < 1.0:
             continue
         for part in loader.shape(visual.shape).parts:
             if part.material.alpha_mode != "blend":
                 color = None if visual.color is None else np.array(visual.color[:3])
-                pieces.append((part, transform_points(matrix_from_pose(visual.pose), part.vertices)[part.triangles], color))
-    areas = np.array([areas_of(corners).sum() for _, corners, _ in pieces])
+                sampled_parts.append(
+                    (part, transform_points(matrix_from_pose(visual.pose), part.vertices)[part.triangles], color)
+                )
+    areas = np.array([areas_of(corners).sum() for _, corners, _ in sampled_parts])
     if not areas.sum() > 0.0:
-        raise SceneError(f"scene {quoted(scene.name)}: has no opaque surface to put splats on")
+        raise SceneError(f"scene {quoted(scene.name)}: has no opaque surface for splats")
     spacing = float(np.sqrt(areas.sum() / count))
-    found = [
-        _on_part(part, corners, color, max(round(count * share), 1), spacing, rng)
-        for (part, corners, color), share in zip(pieces, areas / areas.sum(), strict=True)
+    samples = [
+        _sample_part(part, corners, color, max(round(count * share), 1), spacing, rng)
+        for (part, corners, color), share in zip(sampled_parts, areas / areas.sum(), strict=True)
     ]
-    points, normals, colors = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    width = _WIDTH * spacing
+    points, normals, colors = (np.concatenate(parts) for parts in zip(*samples, strict=True))
+    width = _RELATIVE_WIDTH * spacing
     scales = np.tile(np.array([width, width, _FLATNESS * width], dtype=np.float32), (len(points), 1))
     return Splats(
         points.astype(np.float32),
         scales,
-        _quats_to(normals),
+        _quats_from_normals(normals),
         np.full(len(points), _OPACITY, dtype=np.float32),
         ((colors - 0.5) / SH_DC)[:, None].astype(np.float32),
     )
 
 
-def _on_part(
+def _sample_part(
     part: MeshPart, corners: F64, color: NDArray[np.float64] | None, count: int, spacing: float, rng: np.random.Generator
 ) -> tuple[F64, F64, F64]:
-    """Returns points, unit normals and sRGB colours, 0 to 1, each (N, 3)."""
-    points, which = _spaced(*spread_over(corners, _DRAWN * count, rng), spacing)
+    """Samples a part; returns points, m, unit normals, and sRGB colours, 0 to 1, each (N, 3)."""
+    points, triangle_of_point = _thin_out(*spread_over(corners, _CANDIDATES_PER_SPLAT * count, rng), spacing)
     base = np.asarray(part.material.base_color[:3]) if color is None else color
-    shades = np.tile(linear_from_srgb(base), (len(points), 1))
-    triangles = part.triangles[which]
-    weights = _barycentric(corners[which], points)
+    colors = np.tile(linear_from_srgb(base), (len(points), 1))
+    triangles = part.triangles[triangle_of_point]
+    weights = _barycentric(corners[triangle_of_point], points)
     if part.colors is not None and color is None:
-        shades *= np.einsum("nk,nkc->nc", weights, linear_from_srgb(part.colors[triangles] / 255.0))
+        colors *= np.einsum("nk,nkc->nc", weights, linear_from_srgb(part.colors[triangles] / 255.0))
     texture = part.material.texture
     if texture is not None and part.uvs is not None and color is None:
         uv = np.einsum("nk,nkc->nc", weights, part.uvs[triangles].astype(np.float64))
-        shades *= linear_from_srgb(_texels(texture.pixels[:, :, :3], uv))
-    return points, unit_normals(corners)[which], np.asarray(srgb_from_linear(shades), dtype=np.float64)
+        colors *= linear_from_srgb(_sample_texture(texture.pixels[:, :, :3], uv))
+    return points, unit_normals(corners)[triangle_of_point], np.asarray(srgb_from_linear(colors), dtype=np.float64)
 
 
-def _spaced(points: F64, which: NDArray[np.int64], spacing: float) -> tuple[F64, NDArray[np.int64]]:
-    """Returns the first of the points (N, 3), and of ``which`` (N,), in each cell of a grid."""
-    # Floors and walls often lie on round numbers: not on the borders of cells.
-    cells = np.floor(points / spacing + _SHIFT).astype(np.int64)
+def _thin_out(points: F64, triangle_of_point: NDArray[np.int64], spacing: float) -> tuple[F64, NDArray[np.int64]]:
+    """Keeps the first point in each cell of a grid. ``triangle_of_point``: (N,), reduced in the same way."""
+    cells = np.floor(points / spacing + _GRID_SHIFT).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     kept = np.sort(first)
-    return points[kept], which[kept]
+    return points[kept], triangle_of_point[kept]
 
 
 def _barycentric(corners: F64, points: F64) -> F64:
-    """Returns the weights (N, 3) of the corners (N, 3, 3) of triangles at points in them, (N, 3)."""
+    """Returns the barycentric coordinates, (N, 3), of points (N, 3) in triangles with corners (N, 3, 3)."""
     a, b, c = (corners[:, k] for k in range(3))
-    whole = np.cross(b - a, c - a)
-    square = np.maximum((whole * whole).sum(axis=1), 1e-30)
-    second = (np.cross(points - a, c - a) * whole).sum(axis=1) / square
-    third = (np.cross(b - a, points - a) * whole).sum(axis=1) / square
-    return np.stack([1.0 - second - third, second, third], axis=1)
+    normal = np.cross(b - a, c - a)
+    normal_squared = np.maximum((normal * normal).sum(axis=1), 1e-30)
+    weight_b = (np.cross(points - a, c - a) * normal).sum(axis=1) / normal_squared
+    weight_c = (np.cross(b - a, points - a) * normal).sum(axis=1) / normal_squared
+    return np.stack([1.0 - weight_b - weight_c, weight_b, weight_c], axis=1)
 
 
-def _texels(image: NDArray[np.uint8], uv: F64) -> F64:
-    """Returns the sRGB colours, 0 to 1, (N, 3), of a repeated image (H, W, 3) at texture coordinates (N, 2), bilinear."""
+def _sample_texture(image: NDArray[np.uint8], uv: F64) -> F64:
+    """Returns the sRGB colours, 0 to 1, (N, 3), of a repeating image (H, W, 3) at texture coordinates (N, 2), interpolated bilinearly."""
     height, width = image.shape[:2]
-    at = np.mod(uv, 1.0) * (width, height) - 0.5
-    rows = -(-len(at) // 4096)  # OpenCV limits maps to 32767 rows and columns
+    pixels = np.mod(uv, 1.0) * (width, height) - 0.5
+    rows = -(-len(pixels) // 4096)  # OpenCV limits maps to 32767 rows and columns
     maps = np.zeros((2, rows * 4096), dtype=np.float32)
-    maps[:, : len(at)] = at.T
+    maps[:, : len(pixels)] = pixels.T
     x, y = maps.reshape(2, rows, 4096)
-    found = cv2.remap(np.ascontiguousarray(image), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return np.asarray(found.reshape(-1, 3)[: len(at)] / 255.0, dtype=np.float64)
+    colors = cv2.remap(np.ascontiguousarray(image), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return np.asarray(colors.reshape(-1, 3)[: len(pixels)] / 255.0, dtype=np.float64)
 
 
-def _quats_to(normals: F64) -> NDArray[np.float32]:
-    """Returns unit quaternions (N, 4), x y z w, that turn the z axis to unit normals (N, 3)."""
+def _quats_from_normals(normals: F64) -> NDArray[np.float32]:
+    """Returns unit quaternions, (N, 4), xyzw, that rotate the z axis to unit normals (N, 3)."""
     x, y, z = normals.T
     quats = np.stack([-y, x, np.zeros_like(x), 1.0 + z], axis=1)  # the half-way rotation
     quats[z < -0.999999] = (1.0, 0.0, 0.0, 0.0)

@@ -17,8 +17,8 @@ from gibson_sim_tools.making.building import Body, Building, Opening, Room, Stai
 from gibson_sim_tools.making.glb import BakedMaterial, Patch, write_boxes, write_glb
 from gibson_sim_tools.making.objects.catalogue import OBJECTS
 from gibson_sim_tools.making.objects.loose import LOOSE
-from gibson_sim_tools.making.outside import outside
-from gibson_sim_tools.making.pictures import best_start, eye
+from gibson_sim_tools.making.outside import outside_panorama
+from gibson_sim_tools.making.pictures import best_start, eye_camera
 from gibson_sim_tools.making.planning.objects import SIZES
 from gibson_sim_tools.making.robots.glb import Finish, write_solids
 from gibson_sim_tools.making.robots.surfaces import box
@@ -142,7 +142,7 @@ def test_the_thumbnail_shows_the_largest_room_with_a_start() -> None:
 
 
 def test_an_eye_looks_along_its_yaw_and_a_little_down() -> None:
-    camera = eye((1.0, 2.0, 3.0), math.pi / 2, 0.1)
+    camera = eye_camera((1.0, 2.0, 3.0), math.pi / 2, 0.1)
     x, y, z, w = camera.pose.quat_xyzw
     forward = (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))
     assert camera.pose.position == (1.0, 2.0, 3.0)
@@ -150,7 +150,7 @@ def test_an_eye_looks_along_its_yaw_and_a_little_down() -> None:
 
 
 def test_outside_is_a_bright_sky_over_a_meadow_without_a_seam() -> None:
-    picture = outside(1)
+    picture = outside_panorama(1)
     assert picture.shape == (1024, 2048, 3)
     sky, meadow = picture[:200].mean(axis=(0, 1)), picture[700:].mean(axis=(0, 1))
     assert sky[2] > sky[0] and meadow[1] > meadow[2] and sky.min() > 180

@@ -29,9 +29,9 @@ from gibson_sim_tools.making.building import MATERIALS, Body, Building, Lamp, Op
 from gibson_sim_tools.making.building_file import QUALITIES, Quality, read_plan, write_plan
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.glb import BakedMaterial, Patch, write_glb
-from gibson_sim_tools.making.pixels import doubled, exposure_of, filled, hidden, mirrored, toned
+from gibson_sim_tools.making.pixels import exposure_factors, fill_gaps, fill_gaps_mirrored, hidden_texels, tone_map, upsample_2x
 from gibson_sim_tools.making.planning.planner import plan_building
-from gibson_sim_tools.making.scene_folder import calm_small_charts, put_mirror, write_scene_folder
+from gibson_sim_tools.making.scene_folder import draw_reflection, smooth_small_charts, write_scene_folder
 from gibson_sim_tools.making.surroundings import write_surroundings
 
 ABOVE = {"kitchen_sink", "basin", "bath"}
@@ -106,7 +106,7 @@ def test_light_on_a_narrow_chart_is_evened_out_and_leaves_its_neighbours_alone()
     light = np.ones((40, 80, 4), dtype=np.float32)
     light[5:9, 5:65:2, :3] = 3.0
     before = light.copy()
-    calm_small_charts(light, np.array([[5.0, 5.0, 60.0, 4.0], [5.0, 12.0, 60.0, 26.0]]))
+    smooth_small_charts(light, np.array([[5.0, 5.0, 60.0, 4.0], [5.0, 12.0, 60.0, 26.0]]))
     assert light[6, 15:55, 0].std() < 0.05 and light[6, 15:55, 0].mean() == pytest.approx(2.0, abs=0.05)
     assert np.array_equal(light[9:], before[9:]) and np.array_equal(light[:5], before[:5])
 
@@ -155,7 +155,7 @@ def test_gaps_get_the_colour_of_the_chart_beside_them() -> None:
     image[:, :3], image[:, 5:] = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     covered = np.ones((8, 8), dtype=bool)
     covered[:, 3:5] = False
-    result = filled(image, covered)
+    result = fill_gaps(image, covered)
     assert np.allclose(result[:, 3], (1, 0, 0)) and np.allclose(result[:, 4], (0, 0, 1))
 
 
@@ -166,14 +166,14 @@ def test_what_lies_within_something_else_is_found_and_single_dark_pixels_are_lef
     covered[0] = False
     expected = np.zeros((8, 12), dtype=bool)
     expected[1:, 3:6] = expected[6, 7:12] = expected[5, 8:11] = expected[7, 8:11] = True
-    assert np.array_equal(hidden(openness, covered), expected)
+    assert np.array_equal(hidden_texels(openness, covered), expected)
 
 
 def test_gaps_show_their_surroundings_mirrored_at_their_edges() -> None:
     image = np.arange(20, dtype=np.float32)[None, :, None].repeat(3, axis=0)
     covered = np.ones((3, 20), dtype=bool)
     covered[:, 8:12] = False
-    result = mirrored(image, covered)[1, :, 0]
+    result = fill_gaps_mirrored(image, covered)[1, :, 0]
     assert result[:8].tolist() == image[1, :8, 0].tolist()
     assert result[8:12].tolist() == [6.0, 5.0, 14.0, 13.0]
 
@@ -181,7 +181,7 @@ def test_gaps_show_their_surroundings_mirrored_at_their_edges() -> None:
 def test_a_gap_without_anything_near_is_filled() -> None:
     image, covered = np.full((64, 64, 1), 3.0, dtype=np.float32), np.zeros((64, 64), dtype=bool)
     covered[:4, :4] = True
-    assert mirrored(image * covered[..., None], covered)[60, 60, 0] == pytest.approx(3.0)
+    assert fill_gaps_mirrored(image * covered[..., None], covered)[60, 60, 0] == pytest.approx(3.0)
 
 
 def test_what_is_baked_on_an_upper_floor_is_not_covered_by_the_lid_of_the_lower() -> None:
@@ -203,14 +203,14 @@ def test_the_boxes_of_a_floor_with_six_corners_reach_below_its_walls_all_around(
 
 def test_a_doubled_image_keeps_its_mean_and_its_place() -> None:
     image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
-    result = doubled(image)
+    result = upsample_2x(image)
     assert result.shape == (8, 8, 1)
     assert result[1:7, 1:7].mean() == pytest.approx(image.mean())
     assert result[2, 3, 0] == pytest.approx(0.75 * (0.75 * 5 + 0.25 * 6) + 0.25 * (0.75 * 1 + 0.25 * 2) - 0.5 * 0.0, abs=1.0)
 
 
 def test_tones_rise_with_light_and_grey_stays_grey() -> None:
-    tones = toned(np.repeat(np.linspace(0, 8, 50)[:, None], 3, axis=1))
+    tones = tone_map(np.repeat(np.linspace(0, 8, 50)[:, None], 3, axis=1))
     assert tones[0].tolist() == [0, 0, 0] and tones[-1].min() >= 250
     assert (np.diff(tones[:, 0].astype(int)) >= 0).all()
     assert (tones == tones[:, :1]).all()
@@ -218,7 +218,7 @@ def test_tones_rise_with_light_and_grey_stays_grey() -> None:
 
 def test_exposure_does_not_depend_on_how_strong_the_light_is() -> None:
     sample = np.random.default_rng(1).uniform(0.2, 1.0, (500, 3)).astype(np.float32)
-    assert exposure_of([sample]) == pytest.approx(10 * exposure_of([sample * 10]), rel=1e-4)
+    assert exposure_factors([sample]) == pytest.approx(10 * exposure_factors([sample * 10]), rel=1e-4)
 
 
 def test_a_plan_comes_back_from_its_file(tmp_path: Path) -> None:
@@ -250,9 +250,9 @@ def test_a_mirror_shows_its_picture_upright_and_not_exchanged() -> None:
     image = np.zeros((20, 20, 3), dtype=np.float32)
     shown = np.zeros((2, 2, 3), dtype=np.float32)
     shown[0, 1] = 1.0  # lower right
-    put_mirror(image, np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]), shown)
+    draw_reflection(image, np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]), shown)
     assert image[6, 14, 0] > 0.5 and image[6, 6, 0] == image[14, 14, 0] == 0.0
-    put_mirror(image, np.array([[0.2, 0.8], [0.2, 0.2], [0.8, 0.2], [0.8, 0.8]]), shown)  # lies on its side
+    draw_reflection(image, np.array([[0.2, 0.8], [0.2, 0.2], [0.8, 0.2], [0.8, 0.8]]), shown)  # lies on its side
     assert image[6, 6, 0] > 0.5 and image[6, 14, 0] == 0.0
 
 

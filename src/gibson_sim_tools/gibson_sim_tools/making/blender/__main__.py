@@ -21,7 +21,7 @@ from gibson_sim_tools.making.blender.bake import Stage
 from gibson_sim_tools.making.blender.denoise import denoised
 from gibson_sim_tools.making.blender.mirrors import mirrors_of, reflection
 from gibson_sim_tools.making.building_file import Quality, read_plan
-from gibson_sim_tools.making.pixels import hidden, mirrored
+from gibson_sim_tools.making.pixels import fill_gaps_mirrored, hidden_texels
 
 _COLOR_COST = 4.0
 """Cost of the colour pass, in samples of light."""
@@ -71,8 +71,8 @@ def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], wor
         covered = image[..., 3] > 0.5
         if what == "light":
             # Texels inside other geometry are dark and must not bleed onto visible ones.
-            covered &= ~hidden(stage.openness(atlas, size_px // 2), covered)
-            image[..., :3] = denoised(mirrored(image[..., :3], covered))
+            covered &= ~hidden_texels(stage.openness(atlas, size_px // 2), covered)
+            image[..., :3] = denoised(fill_gaps_mirrored(image[..., :3], covered))
         part = work / f"{what}_{atlas}.part.npy"
         np.save(part, np.concatenate([image[..., :3], covered[..., None]], axis=-1).astype(np.float16))
         os.replace(part, work / f"{what}_{atlas}.npy")

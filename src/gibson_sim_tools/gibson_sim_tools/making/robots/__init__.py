@@ -1,1 +1,1 @@
-"""Makes the meshes of ``arm_bot`` procedurally, without Blender."""
+"""Generates the meshes of ``arm_bot`` procedurally, without Blender, and renders robots."""

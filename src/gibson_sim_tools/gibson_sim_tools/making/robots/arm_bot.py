@@ -1,4 +1,4 @@
-"""The visual shape of ``arm_bot``: the solids of each link, in the frame of the link. Lengths are those of its URDF."""
+"""Models the visual shapes of ``arm_bot``: solids of each link, in its frame. Dimensions follow the URDF."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ALONG_Y: Vec3 = (-math.pi / 2, 0.0, 0.0)
 
 
 def arm_bot_solids() -> dict[str, list[ClosedSurface]]:
-    """Returns the solids of every visible link."""
+    """Returns the solids of each visible link, by its name."""
     return {
         "base_link": _base(),
         "wheel": _wheel(),
@@ -32,11 +32,11 @@ def arm_bot_solids() -> dict[str, list[ClosedSurface]]:
         "head_pan_link": _neck(),
         "head_tilt_link": _head(),
         "shoulder_pan_link": _shoulder(),
-        "shoulder_lift_link": _flexing(0.060, 0.062, 0.220, 0.054),
-        "upperarm_roll_link": _rolling(0.050, 0.130, 0.052, 0.054),
-        "elbow_flex_link": _flexing(0.053, 0.055, 0.200, 0.046),
-        "forearm_roll_link": _rolling(0.043, 0.125, 0.046, 0.048),
-        "wrist_flex_link": _flexing(0.047, 0.049, 0.140, 0.040),
+        "shoulder_lift_link": _pitch_link(0.060, 0.062, 0.220, 0.054),
+        "upperarm_roll_link": _roll_link(0.050, 0.130, 0.052, 0.054),
+        "elbow_flex_link": _pitch_link(0.053, 0.055, 0.200, 0.046),
+        "forearm_roll_link": _roll_link(0.043, 0.125, 0.046, 0.048),
+        "wrist_flex_link": _pitch_link(0.047, 0.049, 0.140, 0.040),
         "wrist_roll_link": _flange(),
         "gripper_link": _palm(),
         "finger": _finger(),
@@ -44,7 +44,7 @@ def arm_bot_solids() -> dict[str, list[ClosedSurface]]:
 
 
 def write_arm_bot(folder: Path) -> list[Path]:
-    """Writes one ``<link>.glb`` for each link; returns the files."""
+    """Writes ``<link>.glb`` for each link; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for link, solids in arm_bot_solids().items():
@@ -58,12 +58,12 @@ def _base() -> list[ClosedSurface]:
         tube([(0.028, 0.262), (0.098, 0.274)], "graphite", 0.012, 0.004),
         tube([(0.097, 0.268), (0.107, 0.268)], "light"),
         tube([(0.106, 0.274), (0.150, 0.275), (0.205, 0.273), (0.258, 0.264)], "shell", 0.004, 0.022),
-        # A core behind the lidar carries the lid; the slot is open in front.
+        # The core behind the lidar supports the lid; the slot is open at the front.
         box((-0.215, -0.190, 0.235), (0.070, 0.190, 0.325), "graphite", 0.09, 0.004),
         tube([(0.254, 0.052), (0.270, 0.052)], "graphite", 0.003).placed((0.175, 0.0, 0.0)),
         tube([(0.270, 0.047), (0.308, 0.043)], "glass", 0.003, 0.008).placed((0.175, 0.0, 0.0)),
         tube([(0.316, 0.264), (0.330, 0.267), (0.362, 0.252)], "shell", 0.008, 0.018),
-        # The collar around the mast, and the mast that the torso slides on.
+        # The mast on which the torso slides, and its collar.
         box((-0.205, -0.145, 0.355), (-0.005, 0.145, 0.374), "graphite", 0.07, 0.006),
         box((-0.180, -0.112, 0.360), (-0.030, 0.112, 0.790), "steel", 0.05, 0.004),
         # A handle, a stop button and its collar at the back.
@@ -105,7 +105,7 @@ def _torso() -> list[ClosedSurface]:
 
 
 def _neck() -> list[ClosedSurface]:
-    """The frame is 0.05 m ahead of the torso's and 0.603 m above it; the head tilts 0.143 m ahead of it, 0.058 m higher."""
+    """Returns the neck. Its frame is 0.05 m ahead of the torso's and 0.603 m above it; the tilt axis is 0.143 m ahead and 0.058 m higher."""
     return [
         tube([(-0.040, 0.050), (-0.014, 0.050)], "graphite", 0.003).placed((-0.053, 0.0, 0.0)),
         loft(
@@ -117,7 +117,7 @@ def _neck() -> list[ClosedSurface]:
 
 
 def _head() -> list[ClosedSurface]:
-    """Its camera is 0.055 m ahead of the axis and 0.022 m above it."""
+    """Returns the head. Its camera is 0.055 m ahead of the tilt axis and 0.022 m above it."""
     skull = [
         Section(-0.150, 0.034, 0.040, 0.033, 0.000, -0.020),
         Section(-0.110, 0.044, 0.052, 0.042, 0.000, -0.020),
@@ -138,7 +138,7 @@ def _head() -> list[ClosedSurface]:
 
 
 def _shoulder() -> list[ClosedSurface]:
-    """From the pan axis to the lift axis, 0.117 m ahead and 0.06 m above."""
+    """Returns the shoulder, from the pan axis to the lift axis, 0.117 m ahead and 0.06 m above."""
     return [
         tube([(-0.018, 0.070), (-0.004, 0.070)], "accent", 0.002),
         loft(
@@ -150,8 +150,8 @@ def _shoulder() -> list[ClosedSurface]:
     ]  # fmt: skip
 
 
-def _flexing(barrel: float, half: float, length: float, end: float) -> list[ClosedSurface]:
-    """A link that rotates about y: a barrel of this radius and half width, and a tube along x that narrows to ``end``."""
+def _pitch_link(barrel: float, half: float, length: float, end: float) -> list[ClosedSurface]:
+    """Returns a link that rotates about y: a barrel of this radius and half width, and a tube along x that tapers to radius ``end``."""
     return [
         _barrel(barrel, half, "shell"),
         tube([(0.0, barrel * 0.86), (length * 0.35, barrel * 0.90), (length * 0.7, end + 0.004), (length - 0.024, end)], "shell", 0.0, 0.006)
@@ -161,8 +161,8 @@ def _flexing(barrel: float, half: float, length: float, end: float) -> list[Clos
     ]  # fmt: skip
 
 
-def _rolling(radius: float, length: float, barrel: float, half: float) -> list[ClosedSurface]:
-    """A link that rotates about x: a tube that ends in a joint about y."""
+def _roll_link(radius: float, length: float, barrel: float, half: float) -> list[ClosedSurface]:
+    """Returns a link that rotates about x: a tube that ends in a joint about y."""
     neck = length - barrel * 0.7
     return [
         tube([(-0.006, radius), (0.020, radius + 0.003), (neck * 0.75, radius + 0.001), (neck, radius - 0.006)], "shell", 0.006, 0.012)
@@ -178,7 +178,7 @@ def _barrel(radius: float, half: float, finish: str) -> ClosedSurface:
 
 
 def _caps(radius: float, half: float, middle: Vec3) -> Sequence[ClosedSurface]:
-    """Discs on both ends of a barrel, and a ring of colour around each."""
+    """Returns discs on both ends of a barrel, each with a coloured ring."""
     x, y, z = middle
     out = []
     for sign in (1.0, -1.0):
@@ -199,7 +199,7 @@ def _flange() -> list[ClosedSurface]:
 
 
 def _palm() -> list[ClosedSurface]:
-    """The frame is between the finger tips, 0.165 m ahead of the wrist."""
+    """Returns the palm. Its frame is between the fingertips, 0.165 m ahead of the wrist."""
     return [
         loft(
             [Section(-0.115, 0.036, 0.046, 0.026), Section(-0.095, 0.038, 0.066, 0.026), Section(-0.052, 0.036, 0.074, 0.022)],
@@ -211,7 +211,7 @@ def _palm() -> list[ClosedSurface]:
 
 
 def _finger() -> list[ClosedSurface]:
-    """The left one: its inner face is at y = 0."""
+    """Returns the left finger; its inner face is at y = 0."""
     return [
         box((-0.050, 0.001, -0.017), (-0.030, 0.030, 0.017), "graphite", 0.004, 0.003),
         box((-0.036, 0.0035, -0.013), (0.030, 0.0145, 0.013), "steel", 0.004, 0.003),

@@ -1,4 +1,4 @@
-"""Writes solids and their materials as one binary glTF 2.0 file."""
+"""Writes closed surfaces and their materials as one binary glTF 2.0 file."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class Finish:
     """A material."""
 
     color: Vec3
-    """sRGB, 0 to 1."""
+    """Base colour, sRGB, 0 to 1."""
     roughness: float = 0.5
     metallic: float = 0.0
     emissive: Vec3 = (0.0, 0.0, 0.0)
-    """Linear, 0 to 1."""
+    """Emitted colour, linear, 0 to 1."""
 
 
 def write_solids(path: Path, solids: Sequence[ClosedSurface], finishes: Mapping[str, Finish]) -> None:
-    """Writes solids, metres, z up; those of one finish become one primitive."""
+    """Writes solids, metres, z up; solids with the same finish become one primitive."""
     builder = GlbBuilder()
     builder.require("KHR_mesh_quantization")
     for name in dict.fromkeys(solid.finish for solid in solids):
@@ -43,7 +43,7 @@ def write_solids(path: Path, solids: Sequence[ClosedSurface], finishes: Mapping[
 
 
 def _merged(solids: Sequence[ClosedSurface]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Returns (vertices (V, 3), normals (V, 3), triangles (F, 3)) of several solids."""
+    """Returns the vertices (V, 3), normals (V, 3) and triangles (F, 3) of several solids, concatenated."""
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
     triangles = np.concatenate([solid.triangles + start for solid, start in zip(solids, starts, strict=False)])
     return np.concatenate([s.vertices for s in solids]), np.concatenate([s.normals for s in solids]), triangles

@@ -1,4 +1,4 @@
-"""Lofts smooth closed surfaces through cross-sections: rounded boxes, tubes, barrels. Pure."""
+"""Lofts smooth closed surfaces through cross-sections: rounded boxes, tubes, barrels. Pure functions."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from gibson_sim.types import Vec3
 
 F64 = NDArray[np.float64]
 _FINE_M, _COARSE_M = 0.1, 0.02
-"""Half edge lengths above which corners are fine, and below which they are coarse, metres."""
-_BEVEL = 4
-"""Rings of a rounded edge."""
+"""Half edge lengths above which corners have many points, and below which they have few, m."""
+_BEVEL_RINGS = 4
+"""Number of rings of a rounded edge."""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A cross-section normal to z: a rectangle with round corners, or a circle if the radius is half of both edges. Metres."""
+    """A cross-section normal to z, metres: a rectangle with round corners; a circle if the radius equals both half edges."""
 
     z: float
     half_x: float
@@ -30,8 +30,9 @@ class Section:
     radius: float
     """Radius of the corners."""
     x: float = 0.0
-    """Centre."""
+    """Centre, x."""
     y: float = 0.0
+    """Centre, y."""
 
     def inset(self, depth: float, z: float) -> Section:
         """Returns the section inset by ``depth``, at height ``z``."""
@@ -55,11 +56,11 @@ class ClosedSurface:
     """A closed smooth surface of one material."""
 
     vertices: F64
-    """(V, 3), metres."""
+    """Vertices, (V, 3), m."""
     normals: F64
-    """(V, 3), outward."""
+    """Outward normals, (V, 3)."""
     triangles: NDArray[np.int64]
-    """(F, 3), counter-clockwise seen from outside."""
+    """Triangles, (F, 3), counter-clockwise seen from outside."""
     finish: str
     """Name of its material."""
 
@@ -74,10 +75,10 @@ def loft(sections: Sequence[Section], finish: str, bevel: float = 0.0, bevel_end
     """Returns the surface through sections stacked along z, closed by flat ends with rounded edges.
 
     Args:
-        sections: two or more, from the lowest.
+        sections: two or more sections, the lowest first.
         finish: name of the material.
         bevel: radius of the edge at the lower end, metres.
-        bevel_end: radius at the upper end; None = as the lower one.
+        bevel_end: radius of the edge at the upper end, metres; None = ``bevel``.
     """
     first, last = sections[0], sections[-1]
     upper = bevel if bevel_end is None else bevel_end
@@ -85,29 +86,29 @@ def loft(sections: Sequence[Section], finish: str, bevel: float = 0.0, bevel_end
     widest = max(max(ring.half_x, ring.half_y) for ring in rings)
     points = 12 if widest > _FINE_M else 8 if widest > _COARSE_M else 5
     outlines = [ring.outline(points) for ring in rings]
-    around, ends = len(outlines[0]), (np.array([[s.x, s.y, s.z]]) for s in (first, last))
+    ring_size, ends = len(outlines[0]), (np.array([[s.x, s.y, s.z]]) for s in (first, last))
     vertices = np.concatenate([*outlines, *ends])
-    side = np.arange(around)
-    after = (side + 1) % around
+    side = np.arange(ring_size)
+    next_side = (side + 1) % ring_size
     triangles = []
     for ring in range(len(rings) - 1):
-        below, above = ring * around, (ring + 1) * around
-        triangles.append(np.stack([below + side, below + after, above + after], axis=1))
-        triangles.append(np.stack([below + side, above + after, above + side], axis=1))
-    top = (len(rings) - 1) * around
+        below, above = ring * ring_size, (ring + 1) * ring_size
+        triangles.append(np.stack([below + side, below + next_side, above + next_side], axis=1))
+        triangles.append(np.stack([below + side, above + next_side, above + side], axis=1))
+    top = (len(rings) - 1) * ring_size
     bottom_middle, top_middle = len(vertices) - 2, len(vertices) - 1
-    triangles.append(np.stack([after, side, np.full(around, bottom_middle)], axis=1))
-    triangles.append(np.stack([top + side, top + after, np.full(around, top_middle)], axis=1))
-    return _smooth(vertices, np.concatenate(triangles), finish)
+    triangles.append(np.stack([next_side, side, np.full(ring_size, bottom_middle)], axis=1))
+    triangles.append(np.stack([top + side, top + next_side, np.full(ring_size, top_middle)], axis=1))
+    return _merge_vertices(vertices, np.concatenate(triangles), finish)
 
 
 def tube(radii: Sequence[tuple[float, float]], finish: str, bevel: float = 0.0, bevel_end: float | None = None) -> ClosedSurface:
-    """Returns the body of revolution through (z, radius) pairs, ascending along z."""
+    """Returns the body of revolution through (z, radius) pairs, metres, z ascending."""
     return loft([Section(z, radius, radius, radius) for z, radius in radii], finish, bevel, bevel_end)
 
 
 def box(low: Vec3, high: Vec3, finish: str, corner: float, bevel: float) -> ClosedSurface:
-    """Returns a box between two corners; ``corner``: radius of its upright edges, ``bevel``: of the others."""
+    """Returns a box between two corners. ``corner``: radius of its vertical edges, ``bevel``: radius of the others, m."""
     x, y = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
     half_x, half_y = (high[0] - low[0]) / 2, (high[1] - low[1]) / 2
     radius = min(corner, half_x, half_y)
@@ -118,14 +119,14 @@ def _rounded(end: Section, bevel: float, *, up: bool) -> list[Section]:
     """Returns the rings of a rounded edge, from the flat end to the side."""
     if bevel <= 0.0:
         return [end]
-    angles = np.linspace(math.pi / 2, 0.0, _BEVEL + 1)
+    angles = np.linspace(math.pi / 2, 0.0, _BEVEL_RINGS + 1)
     inward = -1.0 if up else 1.0
     return [end.inset(bevel * (1.0 - math.cos(a)), end.z + inward * bevel * (1.0 - math.sin(a))) for a in angles.tolist()]
 
 
-def _smooth(vertices: F64, triangles: NDArray[np.int64], finish: str) -> ClosedSurface:
-    """Returns the surface with coincident vertices merged, without degenerate triangles."""
+def _merge_vertices(vertices: F64, triangles: NDArray[np.int64], finish: str) -> ClosedSurface:
+    """Returns the surface with coincident vertices merged and degenerate triangles removed."""
     _, first, shared = np.unique(np.round(vertices, 7), axis=0, return_index=True, return_inverse=True)
-    joined = np.asarray(shared).reshape(-1)[triangles]
-    distinct = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
+    merged = np.asarray(shared).reshape(-1)[triangles]
+    distinct = merged[(merged != np.roll(merged, 1, axis=1)).all(axis=1)]
     return ClosedSurface(vertices[first], area_normals(vertices[first], distinct), distinct, finish)
