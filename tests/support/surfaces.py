@@ -92,11 +92,11 @@ def detail_from(triangles: int) -> AbstractContextManager[object]:
     return mock.patch.object(assembly, "DETAIL_FROM", triangles)
 
 
-def geometry_of(mesh: Mesh, coarser: bool = True) -> SceneGeometry:
+def geometry_of(mesh: Mesh, levels_of_detail: bool = True) -> SceneGeometry:
     """Returns the renderer's geometry of a mesh in the world, with levels of detail at any size."""
     visual = VisualSpec("mesh", "", Shape("mesh", mesh="/mesh"))
     with detail_from(1):
-        return build_geometry([visual], (), lambda shape: mesh, coarser=coarser)
+        return build_geometry([visual], (), lambda shape: mesh, levels_of_detail=levels_of_detail)
 
 
 def drawn_positions(scene: SceneGeometry, clusters: I64) -> F32:

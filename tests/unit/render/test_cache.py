@@ -46,8 +46,8 @@ def _build(visuals: Visuals) -> SceneGeometry:
     return build_geometry(visuals, (), MeshLoader([folder]).shape, [(1, 1)] * len(visuals))
 
 
-def _path(cache: SceneCache, visuals: Visuals, coarser: bool = True) -> Path:
-    return cache.path(visuals, (), [(1, 1)] * len(visuals), coarser)
+def _path(cache: SceneCache, visuals: Visuals, levels_of_detail: bool = True) -> Path:
+    return cache.path(visuals, (), [(1, 1)] * len(visuals), levels_of_detail)
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_what_decides_the_result_decides_the_file(cache: SceneCache, visuals: Vi
         replace(square, shape=replace(square.shape, size=(1.0, 1.0, 2.0))),
         replace(square, appearance=Appearance(hue=0.1)),
     ]
-    names = [_path(cache, visuals), _path(cache, visuals, coarser=False)]
+    names = [_path(cache, visuals), _path(cache, visuals, levels_of_detail=False)]
     moving = (replace(square, link="a/b"),)
     names += [cache.path(moving, links, [(1, 1)], True) for links in ((), ("a/b",), ("c/d", "a/b"))]
     names += [cache.path(visuals, (), [(1, 2)], True), *(_path(cache, (other,)) for other in others)]

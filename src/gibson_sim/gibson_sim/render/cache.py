@@ -56,7 +56,7 @@ class SceneCache:
         visuals: Sequence[VisualSpec],
         links: Sequence[str],
         labels: Sequence[tuple[int, int]],
-        coarser: bool,
+        levels_of_detail: bool,
         roots: Sequence[Path] = (),
     ) -> Path:
         """Returns the path of a scene's file; ``roots`` are the folders that its files may lie in, for the rest see ``build_geometry``."""
@@ -68,7 +68,7 @@ class SceneCache:
             __version__,
             _code_digest(),
             simplifier() is not None,
-            coarser,
+            levels_of_detail,
             sorted(map(str, roots)),
             tuple(links)[:count],
             tuple(labels),

@@ -130,7 +130,7 @@ class Renderer:
         self._mesh_loader = None
         self._splats, self._splats_of_scene = splats, (scene.splats, scene.content_hash)
         self._scene, self._camera_images = gl_scene, CameraImages(self.context, gl_scene, splats)
-        self._composition = Composition(scene, geometry, self._loader_of, coarser=self._detail_px > 0.0)
+        self._composition = Composition(scene, geometry, self._loader_of, levels_of_detail=self._detail_px > 0.0)
         self._describe(scene, geometry, (*geometry.warnings, *gl_scene.warnings))
 
     def _splats_of(self, scene: DrawnScene) -> SplatPass | None:
@@ -448,20 +448,20 @@ def _load_geometry(
     scene: DrawnScene,
     loader: Loader | None,
     allowed_roots: Sequence[Path] | None,
-    coarser: bool,
+    levels_of_detail: bool,
     folder: Path | None,
     progress: Progress | None,
 ) -> SceneGeometry:
     """Returns the geometry of a scene, from the cache in ``folder`` if it has it."""
     labels, roots = scene.labels(), _roots(scene, allowed_roots)
     cache = SceneCache(folder) if folder is not None and loader is None else None
-    path = cache.path(scene.visuals, scene.links, labels, coarser, roots) if cache is not None else None
+    path = cache.path(scene.visuals, scene.links, labels, levels_of_detail, roots) if cache is not None else None
     if cache is not None and path is not None:
         cached = cache.load(path)
         if cached is not None:
             return cached
     load = loader or MeshLoader(roots).shape
-    geometry = build_geometry(scene.visuals, scene.links, load, labels, coarser=coarser, progress=progress)
+    geometry = build_geometry(scene.visuals, scene.links, load, labels, levels_of_detail=levels_of_detail, progress=progress)
     if cache is not None and path is not None:
         cache.store(path, geometry)
     return geometry

@@ -67,8 +67,8 @@ def _unpacked_colors(packed: F32) -> F32:
 class GeometryAssembler:
     """Concatenates submeshes into the arrays of ``SceneGeometry``."""
 
-    def __init__(self, coarser: bool, progress: Progress) -> None:
-        self._coarser, self._progress = coarser, progress
+    def __init__(self, levels_of_detail: bool, progress: Progress) -> None:
+        self._levels_of_detail, self._progress = levels_of_detail, progress
         self._vertices: list[NDArray[np.void]] = []
         self._indices: list[I64] = []
         self._clusters: dict[str, list[NDArray[Any]]] = {
@@ -119,12 +119,12 @@ class GeometryAssembler:
         matte = (materials["surface"][:, 0] <= 0.0) & (materials["surface"][:, 1] >= MATTE_ROUGHNESS)
         with_appearance = np.array([bool(appearance) for _, appearance in table.rows], dtype=bool)
         total = sum(len(t) for submesh in submeshes.values() for t in submesh.triangles)
-        self._coarser &= total >= DETAIL_FROM
-        if self._coarser and simplifier() is None:
+        self._levels_of_detail &= total >= DETAIL_FROM
+        if self._levels_of_detail and simplifier() is None:
             warnings += (
                 f"{total} triangles are drawn without levels of detail, which is slow: install meshoptimizer (pip install meshoptimizer)",
             )
-        shared = _shared_vertices(submeshes) if self._coarser else {}
+        shared = _shared_vertices(submeshes) if self._levels_of_detail else {}
         batches: list[Batch] = []
         for key in sorted(submeshes):
             self._progress("levels of detail", self._triangles / max(total, 1))
@@ -194,13 +194,13 @@ class GeometryAssembler:
         if alpha_mode == "blend":
             size = min(max(len(triangles) // BLEND_CLUSTERS, 1), size)
         slow = bool(link) and len(triangles) > MOVING_DETAIL_UPTO
-        coarser, textured = self._coarser and alpha_mode != "blend" and not slow, max(texture, maps) >= 0
-        digest = hashlib.sha256(repr((size, coarser, textured, colored)).encode())
+        levels_of_detail, textured = self._levels_of_detail and alpha_mode != "blend" and not slow, max(texture, maps) >= 0
+        digest = hashlib.sha256(repr((size, levels_of_detail, textured, colored)).encode())
         for array in (vertices, triangles, *(() if fixed is None else (fixed,))):
             digest.update(np.ascontiguousarray(array).view(np.uint8).data)
         shape = self._shapes.get(digest.digest())
         if shape is None:
-            shape = self._shape(vertices, triangles, size, fixed, coarser, textured, colored)
+            shape = self._shape(vertices, triangles, size, fixed, levels_of_detail, textured, colored)
             self._shapes[digest.digest()] = shape
         clusters, groups = len(shape["first"]), len(shape["error"])
         row = 0 if not link else sum(map(len, self._clusters["placement"]))
@@ -226,7 +226,7 @@ class GeometryAssembler:
         triangles: I64,
         size: int,
         fixed: NDArray[np.bool_] | None,
-        coarser: bool,
+        levels_of_detail: bool,
         textured: bool,
         colored: bool,
     ) -> dict[str, NDArray[Any]]:
@@ -238,7 +238,7 @@ class GeometryAssembler:
             triangles,
             size,
             fixed,
-            coarser,
+            levels_of_detail,
             _unpacked_colors(vertices["uv"]) if colored else None,
         )
         starts, ends = clusters.starts, clusters.ends

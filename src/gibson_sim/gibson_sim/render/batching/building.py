@@ -30,7 +30,7 @@ def build_geometry(
     loader: Loader,
     labels: Sequence[tuple[int, int]] = (),
     *,
-    coarser: bool = True,
+    levels_of_detail: bool = True,
     progress: Progress | None = None,
 ) -> SceneGeometry:
     """Returns the triangles of all visuals; a visual that cannot be loaded is omitted with a warning.
@@ -40,7 +40,7 @@ def build_geometry(
         links: names of the moving links, in the order of ``SceneState.links``.
         loader: returns the mesh of a shape, or raises a ``GibsonSimError``.
         labels: semantic class and instance of each visual; empty = all 0.
-        coarser: build levels of detail.
+        levels_of_detail: build levels of detail.
         progress: called with the current stage and its progress, 0 to 1.
 
     Raises:
@@ -104,7 +104,7 @@ def build_geometry(
     progress("reading meshes", 1.0)
     if len(table.rows) > MAX_LABEL:
         raise ConfigError(f"the scene has {len(table.rows)} different materials, at most {MAX_LABEL} can be drawn")
-    return GeometryAssembler(coarser, progress).assemble(
+    return GeometryAssembler(levels_of_detail, progress).assemble(
         submeshes,
         table,
         tuple(t for _, t in textures.values()),

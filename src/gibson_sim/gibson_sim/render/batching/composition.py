@@ -50,11 +50,13 @@ class Composition:
         scene: the scene as loaded.
         base: its geometry.
         loader: returns the loader for the meshes of a scene.
-        coarser: build levels of detail of new bodies.
+        levels_of_detail: build levels of detail of new bodies.
     """
 
-    def __init__(self, scene: DrawnScene, base: SceneGeometry, loader: Callable[[DrawnScene], Loader], *, coarser: bool) -> None:
-        self._scene, self._base, self._loader, self._coarser = scene, base, loader, coarser
+    def __init__(
+        self, scene: DrawnScene, base: SceneGeometry, loader: Callable[[DrawnScene], Loader], *, levels_of_detail: bool
+    ) -> None:
+        self._scene, self._base, self._loader, self._levels_of_detail = scene, base, loader, levels_of_detail
         self._bodies = _by_body(scene.visuals)
         self._prototypes: dict[_Key, BodyPrototype] = {}
         self._vertices, self._indices = _Rows(base.vertices), _Rows(base.indices)
@@ -100,7 +102,7 @@ class Composition:
         links = tuple(dict.fromkeys(visual.link for visual in key))
         classes = ("", *sorted({visual.semantic_class for visual in key} - {""}))
         labels = [(classes.index(visual.semantic_class), 1) for visual in key]
-        geometry = build_geometry(key, links, self._loader(scene), labels, coarser=self._coarser)
+        geometry = build_geometry(key, links, self._loader(scene), labels, levels_of_detail=self._levels_of_detail)
         return BodyPrototype(geometry, links, classes, bool(geometry.vertices["label"].any()))
 
     def _forget_unused(self, later: dict[_Key, list[str]]) -> None:

@@ -187,8 +187,11 @@ class GeometryMerger:
         placements["material"] += numbers.first_material
         if not prototype.labelled:
             placements["label"] = np.concatenate([body.labels(b.placements["label"]) for body in bodies])
-        body = np.arange(count)[:, None]
-        groups, placed = self._group_count + body * len(b.group_error), self._placement_count + body * len(b.placements)
+        body_index = np.arange(count)[:, None]
+        groups, placed = (
+            self._group_count + body_index * len(b.group_error),
+            self._placement_count + body_index * len(b.placements),
+        )
         for batch in b.batches:
             clusters = slice(batch.first_cluster, batch.end_cluster)
             columns = {

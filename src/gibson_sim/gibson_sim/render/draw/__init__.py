@@ -1,1 +1,1 @@
-"""Drawing with OpenGL: the scene in GPU memory, light, materials, cameras of every projection, and camera effects."""
+"""OpenGL drawing: the scene in GPU memory, lighting, materials, cameras of every projection, and camera effects."""

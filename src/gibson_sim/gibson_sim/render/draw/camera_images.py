@@ -1,4 +1,4 @@
-"""Draws camera images into targets: plain pinholes directly, non-pinhole cameras from pinhole views, smooth edges from multisampling."""
+"""Draws camera images into targets: plain pinhole cameras directly, other cameras from pinhole views, with multisample anti-aliasing."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class CameraImages:
     """Draws camera images into targets of one context; it must be current in every call.
 
     Args:
-        context: of the scene.
-        scene: what to draw.
-        splats: what to draw over it; None = nothing.
+        context: context of the scene.
+        scene: the scene to draw.
+        splats: splats to draw over it; None = no splats.
     """
 
     def __init__(self, context: GlContext, scene: GlScene, splats: SplatPass | None = None) -> None:
@@ -41,48 +41,48 @@ class CameraImages:
         self._resamplers: dict[tuple[CameraSpec, tuple[tuple[int, int], ...]], Resampler] = {}
         self._largest = self._gl.integer(GL.MAX_TEXTURE_SIZE)
         self.groups: Callable[[Sequence[CameraSpec]], tuple[CameraGroup, ...]] = CameraGrouping(self._largest).of
-        """Returns the groups of cameras that are drawn into one target each."""
+        """Returns the groups of cameras; each group is drawn into one target."""
 
     def target(self, width: int, height: int, features: tuple[Feature, ...], samples: int = 1, use: str = "") -> RenderTarget:
-        """Returns a cached target; ``use`` distinguishes targets that are needed at the same time."""
+        """Returns a cached target; ``use`` distinguishes targets in use at the same time."""
         key = (width, height, features, samples, use)
-        found = self._targets.pop(key, None)
-        if found is None:
+        cached = self._targets.pop(key, None)
+        if cached is None:
             if len(self._targets) >= _MAX_TARGETS:
                 self._targets.pop(next(iter(self._targets))).close()  # the least recently used
-            found = RenderTarget(self._context, width, height, features, samples)
-        self._targets[key] = found
-        return found
+            cached = RenderTarget(self._context, width, height, features, samples)
+        self._targets[key] = cached
+        return cached
 
-    def draw(self, target: RenderTarget, images: Sequence[TargetImage], before: Sequence[Mat4]) -> None:
+    def draw(self, target: RenderTarget, images: Sequence[TargetImage], previous: Sequence[Mat4]) -> None:
         """Clears a target and draws images into it; the link poses of the scene must be set.
 
         Args:
-            target: with one sample a pixel and the features of all cameras.
+            target: target with one sample per pixel and the features of all cameras.
             images: the images; all cameras have the same number of samples.
-            before: T_world_camera of each at the state before.
+            previous: T_world_camera of each image in the previous state.
         """
-        plain = [_picture(image, pose) for image, pose in zip(images, before, strict=True) if _is_plain(image.camera)]
+        plain = [_picture(image, pose) for image, pose in zip(images, previous, strict=True) if _is_plain(image.camera)]
         color = any(draws_colors(image.camera) for image in images)
         samples = max((image.camera.samples for image in images), default=1)
-        non_pinhole = [(image, pose) for image, pose in zip(images, before, strict=True) if not _is_plain(image.camera)]
+        non_pinhole = [(image, pose) for image, pose in zip(images, previous, strict=True) if not _is_plain(image.camera)]
         if color and samples > 1 and plain:
-            # Labels and depth are those of the pixel's centre, to the bit, with and without multisampling of colours.
+            # Labels and depth are sampled at pixel centres, bit-identical with and without multisampling of colours.
             self._scene.draw(target, plain, color=False)
-            smooth = self.target(target.width, target.height, (), samples)
-            self._scene.draw(smooth, plain, moving_later=self._splats is not None)
-            self._resolve(smooth, target)
+            multisampled = self.target(target.width, target.height, (), samples)
+            self._scene.draw(multisampled, plain, moving_later=self._splats is not None)
+            self._resolve(multisampled, target)
         else:
             self._scene.draw(target, plain, color=color, moving_later=self._splats is not None)
         if color and self._splats is not None:
-            # With one sample a pixel: splats have soft edges.
+            # One sample per pixel is enough: splats have soft edges.
             self._splats.draw(self._scene, target, plain)
             self._scene.draw_moving_translucent(target)
         if non_pinhole:
             self._draw_non_pinhole(target, non_pinhole, color)
 
     def _draw_non_pinhole(self, target: RenderTarget, images: Sequence[tuple[TargetImage, Mat4]], color: bool) -> None:
-        """Draws the views of non-pinhole cameras side by side, all at once if they fit, and resamples the images from them."""
+        """Draws the views of non-pinhole cameras side by side, in one target if they fit, and resamples the images from them."""
         views = [views_of(image.camera) for image, _ in images]
         sizes = [(view.width, view.height) for group in views for view in group]
         arranged = arrange(sizes, self._largest)
@@ -90,8 +90,8 @@ class CameraImages:
             if len(images) == 1:
                 camera = images[0][0].camera
                 raise RenderError(
-                    f"camera {camera.name!r}: a {camera.projection} image of {camera.width}x{camera.height} is made from views that do not "
-                    f"fit into the {self._largest} pixels a side that can be drawn here; choose a smaller one"
+                    f"camera {camera.name!r}: a {camera.projection} image of {camera.width}x{camera.height} is resampled from views that "
+                    f"exceed the driver's limit of {self._largest} pixels per side; choose a smaller image"
                 )
             for one in images:
                 self._draw_non_pinhole(target, [one], color)
@@ -100,8 +100,8 @@ class CameraImages:
         place = dict(zip(numbers, tiles.places, strict=True))
         source = self.target(tiles.width, tiles.height, target.features, use="views")
         pictures, first = [], 0
-        for (image, before), group in zip(images, views, strict=True):
-            pictures += [_view_picture(image, view, before, place[first + k]) for k, view in enumerate(group)]
+        for (image, previous), group in zip(images, views, strict=True):
+            pictures += [_view_picture(image, view, previous, place[first + k]) for k, view in enumerate(group)]
             first += len(group)
         self._scene.draw(source, pictures, color=color, moving_later=self._splats is not None)
         if color and self._splats is not None:
@@ -115,21 +115,21 @@ class CameraImages:
 
     def _resampler(self, camera: CameraSpec, places: tuple[tuple[int, int], ...]) -> Resampler:
         key = (replace(camera, name="", link="", pose=Pose()), places)
-        found = self._resamplers.pop(key, None)
-        if found is None:
+        cached = self._resamplers.pop(key, None)
+        if cached is None:
             if len(self._resamplers) >= _MAX_RESAMPLERS:
                 self._resamplers.pop(next(iter(self._resamplers))).close()
-            found = Resampler(self._context, camera, places)
-        self._resamplers[key] = found
-        return found
+            cached = Resampler(self._context, camera, places)
+        self._resamplers[key] = cached
+        return cached
 
-    def _resolve(self, smooth: RenderTarget, target: RenderTarget) -> None:
-        """Writes the mean of the samples, in linear light, to the colours of a target."""
+    def _resolve(self, multisampled: RenderTarget, target: RenderTarget) -> None:
+        """Averages the samples, in linear light, into the colours of a target."""
         gl = self._gl
         gl.glEnable(GL.FRAMEBUFFER_SRGB)
         width, height = target.width, target.height
         gl.glBlitNamedFramebuffer(
-            smooth.framebuffer,
+            multisampled.framebuffer,
             target.color_framebuffer,
             0,
             0,
@@ -144,7 +144,7 @@ class CameraImages:
         )
 
     def close(self) -> None:
-        """Frees everything; a second call does nothing."""
+        """Frees all GPU resources; a second call does nothing."""
         targets, resamplers = self._targets, self._resamplers
         self._targets, self._resamplers = {}, {}
         for target in targets.values():
@@ -153,14 +153,14 @@ class CameraImages:
             resampler.close()
 
 
-def _picture(image: TargetImage, before: Mat4) -> PinholePicture:
+def _picture(image: TargetImage, previous: Mat4) -> PinholePicture:
     camera = image.camera
     return PinholePicture(
-        image.T_world_camera, _intrinsics(camera), camera.width, camera.height, camera.near, image.x, image.y, before
+        image.T_world_camera, _intrinsics(camera), camera.width, camera.height, camera.near, image.x, image.y, previous
     )
 
 
-def _view_picture(image: TargetImage, view: PinholeView, before: Mat4, place: tuple[int, int]) -> PinholePicture:
+def _view_picture(image: TargetImage, view: PinholeView, previous: Mat4, place: tuple[int, int]) -> PinholePicture:
     T_camera_view = np.eye(4)
     T_camera_view[:3, :3] = view.R_camera_view
     return PinholePicture(
@@ -170,5 +170,5 @@ def _view_picture(image: TargetImage, view: PinholeView, before: Mat4, place: tu
         view.height,
         image.camera.near,
         *place,
-        before @ T_camera_view,
+        previous @ T_camera_view,
     )

@@ -1,6 +1,6 @@
-"""Effects of real cameras on colours, as passes over a drawn image: averages of pictures, exposure, white balance, vignette, noise.
+"""Effects of real cameras on colours, as passes over a rendered image: averaging of pictures, exposure, white balance, vignette, noise.
 
-All are computed in linear light. Depth, labels and normals never change.
+All effects are computed in linear light. They change neither depth, labels nor normals.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.types import CameraSpec, ImageEffects
 
 DAYLIGHT_K = 6500.0
-"""The colour temperature at which the white balance changes nothing."""
+"""Colour temperature at which the white balance is the identity, kelvin."""
 
 _XYZ_FROM_RGB: Mat3 = np.array(
     [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
@@ -30,11 +30,11 @@ _XYZ_FROM_RGB: Mat3 = np.array(
 _CONES_FROM_XYZ: Mat3 = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 """The Bradford cone responses (Lam 1985; CIE 160:2004)."""
 _MAX_DRAFTS = 4
-"""Intermediate targets that are kept."""
+"""Maximum number of cached intermediate targets."""
 
 
 def changes_colors(effects: ImageEffects) -> bool:
-    """Returns whether effects change colours; if not, the pass is left out, and pixels stay the same to the bit."""
+    """Returns whether effects change colours; if not, the pass is skipped and pixels are bit-identical."""
     neutral = ImageEffects(shutter_s=effects.shutter_s, readout_s=effects.readout_s, seed=effects.seed)
     return effects != neutral
 
@@ -62,7 +62,7 @@ def planckian_xy(kelvin: float) -> tuple[float, float]:
 def white_balance_matrix(kelvin: float) -> Mat3:
     """Returns the (3, 3) matrix on linear sRGB under which a white surface lit by a black body of ``kelvin`` appears white.
 
-    Von Kries adaptation of the Bradford cone responses, from that light to one of 6500 K, at which the matrix is the identity.
+    Von Kries adaptation of the Bradford cone responses, from that light to 6500 K, where the matrix is the identity.
     """
     if kelvin == DAYLIGHT_K:
         return np.eye(3)
@@ -73,7 +73,7 @@ def white_balance_matrix(kelvin: float) -> Mat3:
 
 
 def noise_key(effects: ImageEffects, stamp_ns: int, camera: str) -> tuple[int, int]:
-    """Returns the two 32-bit numbers that key the noise of an image: those of different cameras and images differ."""
+    """Returns the key of an image's noise, two 32-bit numbers; keys of different cameras and images differ."""
     first, second = np.random.SeedSequence([effects.seed, stamp_ns, zlib.crc32(camera.encode())]).generate_state(2)
     return int(first), int(second)
 
@@ -87,14 +87,14 @@ def corner_cosine(camera: CameraSpec) -> float:
 
 
 def uniforms_of(camera: CameraSpec, stamp_ns: int) -> dict[str, Any]:
-    """Returns the uniforms of effects.frag, float32 matrices by columns."""
+    """Returns the uniforms of effects.frag; matrices are float32, column-major."""
     effects = camera.effects
-    missing = 1.0 - corner_cosine(camera) ** 4
+    falloff = 1.0 - corner_cosine(camera) ** 4
     return {
         "u_exposure": 2.0**effects.exposure_ev,
         "u_white_balance": white_balance_matrix(effects.white_balance_k).T.astype(np.float32),
         "u_ray_from_pixel": np.linalg.inv(camera.intrinsics()).T.astype(np.float32),
-        "u_vignette": effects.vignette / missing if missing > 0.0 else 0.0,
+        "u_vignette": effects.vignette / falloff if falloff > 0.0 else 0.0,
         "u_variance": (effects.read_noise**2, effects.shot_noise**2),
         "u_key": noise_key(effects, stamp_ns, camera.name),
     }
@@ -108,7 +108,7 @@ def copy_image(
     rectangle: tuple[int, int, int, int],
     place: tuple[int, int],
 ) -> None:
-    """Copies a rectangle (x, y, width, height) of attachments of one target to a place (x, y) in another, bit by bit."""
+    """Copies a rectangle (x, y, width, height) of attachments of one target to position (x, y) in another, bit by bit."""
     gl = GL.Gl(context)
     x, y, width, height = rectangle
     for name in names:
@@ -118,7 +118,7 @@ def copy_image(
 
 
 class EffectsPass:
-    """The effects of ``CameraSpec.effects`` on colours.
+    """Applies the colour effects of ``CameraSpec.effects``.
 
     Args:
         context: it must be current in every call.
@@ -131,7 +131,7 @@ class EffectsPass:
         self._average: _Average | None = None
 
     def begin(self, width: int, height: int) -> None:
-        """Starts an average of pictures of a size, pixels."""
+        """Starts averaging pictures of the given size, pixels."""
         if self._average is not None and (self._average.width, self._average.height) != (width, height):
             self._average.close()
             self._average = None
@@ -140,16 +140,16 @@ class EffectsPass:
         self._average.clear()
 
     def add(self, color: int, rows: slice, weight: float, first: int | None = None) -> None:
-        """Adds some rows of a picture to the average.
+        """Adds rows of a picture to the average.
 
         Args:
-            color: OpenGL name of a texture that is linear when sampled, of the width given to ``begin``.
-            rows: of the image, both ends given.
-            weight: of the picture; the weights of a row add up to 1.
-            first: row of the texture that holds the first of these rows; None = the row of the same number.
+            color: OpenGL name of a texture that is linear when sampled, as wide as given to ``begin``.
+            rows: rows of the image; start and stop are given.
+            weight: weight of the picture; the weights of a row sum to 1.
+            first: row of the texture with the first of these rows; None = ``rows.start``.
         """
         if self._average is None:
-            raise RenderError("no average has begun; call begin first")
+            raise RenderError("averaging has not begun; call begin first")
         self._average.add(color, rows, weight, rows.start if first is None else first)
 
     def run(
@@ -158,15 +158,15 @@ class EffectsPass:
         """Fills the colours of ``out``; its depth is overwritten, further outputs are undefined.
 
         Args:
-            camera: its effects, size and intrinsics are used.
-            stamp_ns: of the image; it keys the noise.
+            camera: camera whose effects, size and intrinsics are used.
+            stamp_ns: stamp of the image; it keys the noise.
             color: OpenGL name of the source texture, linear when sampled; None = the average.
-            out: of the camera's size; it must not hold ``color``.
-            origin: column and row in ``color`` at which the image begins.
+            out: target of the camera's size; ``color`` must not be one of its textures.
+            origin: column and row of the image's top left corner in ``color``.
         """
         if color is None:
             if self._average is None:
-                raise RenderError("no average has begun; call begin and add first")
+                raise RenderError("averaging has not begun; call begin and add first")
             color = self._average.texture
         noisy = camera.effects.read_noise > 0.0 or camera.effects.shot_noise > 0.0
         defines = (*(("NOISE",) if noisy else ()), *(("ANGULAR",) if camera.projection == "fisheye" else ()))
@@ -178,12 +178,12 @@ class EffectsPass:
         """Applies the effects to an image in a target, in place.
 
         Args:
-            camera: of the image.
-            stamp_ns: of the image.
-            target: that holds it, without multisampling.
+            camera: camera of the image.
+            stamp_ns: stamp of the image.
+            target: target with the image, without multisampling.
             x: column of the image's left edge.
             y: row of its top edge.
-            average: apply them to the average instead of to the image.
+            average: apply the effects to the average instead of the image.
         """
         size = (camera.width, camera.height)
         if size not in self._drafts:
@@ -195,11 +195,11 @@ class EffectsPass:
         copy_image(self._context, draft, target, ("color",), (0, 0, *size), (x, y))
 
     def close(self) -> None:
-        """Frees everything; a second call does nothing. The context must be current."""
+        """Frees all GPU resources; a second call does nothing. The context must be current."""
         passes, drafts, average = self._passes, self._drafts, self._average
         self._passes, self._drafts, self._average = {}, {}, None
-        for one in passes.values():
-            one.close()
+        for screen_pass in passes.values():
+            screen_pass.close()
         for draft in drafts.values():
             draft.close()
         if average is not None:
@@ -220,7 +220,7 @@ class _Average:
 
     @property
     def texture(self) -> int:
-        """OpenGL's name of the sum."""
+        """OpenGL name of the texture with the sum."""
         return int(self._texture.glo)
 
     def clear(self) -> None:

@@ -1,7 +1,7 @@
-"""Image-based light for the shaders: the irradiance of an environment map, its prefiltered reflections, and the BRDF table.
+"""Image-based lighting: the irradiance of an environment map, its prefiltered reflections, and the BRDF table.
 
-Pure NumPy, no OpenGL. Directions are in the world frame: the middle column of an equirectangular image is towards +x, its top row
-towards +z, and what is left of the middle towards +y.
+Pure NumPy, no OpenGL. Directions are in the world frame: the middle column of an equirectangular image is at +x, the top row at +z, and
+the left quarter at +y.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from gibson_sim.reading import read_file
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 REFLECTION_SIZE = 256
-"""Side of an octahedral image, texels, with a border of one texel, so that a filter never reads beyond an edge."""
+"""Side of an octahedral image, texels, including a border of one texel, so that filtering never reads beyond an edge."""
 REFLECTION_LAYERS = 8
-"""Layer k is for roughness k / 7."""
+"""Number of roughness layers: layer k has roughness k / 7."""
 REFLECTANCE_SIZE = 32
 """Side of the table of ``reflectance``, texels."""
 _MAX_WIDTH = 2048
 _MAX_PIXELS = 8192 * 4096
-"""Largest image that is decoded: 400 MB as floats."""
+"""Maximum number of pixels of an environment image: 400 MB as floats."""
 _SAMPLES = 128
 _BRIGHTEST = 6e4
-"""Largest radiance: half floats end at 65504."""
+"""Largest radiance; the largest half float is 65504."""
 
 
 def load_environment(path: Path) -> F32:
     """Returns an equirectangular image, (H, W, 3) float32, linear RGB, H = W / 2, at most 2048 wide.
 
     Raises:
-        SceneError: the file cannot be read, or is no equirectangular image.
+        SceneError: the file cannot be read, or is not an equirectangular image.
     """
     try:
         data = read_file(path, MAX_IMAGE_BYTES)
@@ -47,12 +47,12 @@ def load_environment(path: Path) -> F32:
     size = image_size(data)
     if size is not None and size.pixels > _MAX_PIXELS:
         raise SceneError(
-            f"environment {path}: has {size.width} x {size.height} pixels, must have at most {_MAX_PIXELS >> 20} million; scale it down: "
-            f"{_MAX_WIDTH} x {_MAX_WIDTH // 2} are used"
+            f"environment {path}: has {size.width} x {size.height} pixels, must have at most {_MAX_PIXELS >> 20} million; scale it down, "
+            f"{_MAX_WIDTH} x {_MAX_WIDTH // 2} pixels are used"
         )
     image = decode_pixels(data, cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise SceneError(f"environment {path}: is no image that can be read; give a .hdr, .png or .jpg")
+        raise SceneError(f"environment {path}: is not a readable image; give a .hdr, .png or .jpg file")
     if image.ndim == 2:
         image = np.repeat(image[:, :, None], 3, axis=2)
     height, width = image.shape[:2]
@@ -79,7 +79,7 @@ def directions(height: int) -> F64:
 
 
 def look_up(image: F32, rays: F64) -> F32:
-    """Returns the image's colours, (..., 3), bilinear, in directions (..., 3), which need not be unit vectors."""
+    """Returns the image's colours, (..., 3), bilinearly interpolated, in directions (..., 3) of any length."""
     height, width = image.shape[:2]
     flat = rays.reshape(-1, 3)
     length = np.maximum(np.linalg.norm(flat, axis=1), 1e-12)
@@ -87,18 +87,18 @@ def look_up(image: F32, rays: F64) -> F32:
     v = np.clip(np.arccos(np.clip(flat[:, 2] / length, -1.0, 1.0)) / np.pi * height - 0.5, 0.0, height - 1.0)
     # OpenCV limits maps to 32767 rows and columns.
     rows = -(-len(u) // 4096)
-    at = np.zeros((2, rows * 4096), dtype=np.float32)
-    at[0, : len(u)], at[1, : len(u)] = u, v
-    x, y = at.reshape(2, rows, 4096)
-    found = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return np.asarray(found.reshape(-1, 3)[: len(u)].reshape(rays.shape), dtype=np.float32)
+    coordinates = np.zeros((2, rows * 4096), dtype=np.float32)
+    coordinates[0, : len(u)], coordinates[1, : len(u)] = u, v
+    x, y = coordinates.reshape(2, rows, 4096)
+    colours = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return np.asarray(colours.reshape(-1, 3)[: len(u)].reshape(rays.shape), dtype=np.float32)
 
 
 def irradiance(image: F32) -> F32:
-    """Returns the radiance of a matte white surface under the image as a polynomial of its normal n: (9, 3) float32.
+    """Returns the radiance of a white Lambertian surface lit by the image as a polynomial of its normal, (9, 3) float32.
 
-    Spherical harmonics up to degree 2, attenuated by the cosine lobe by 1, 2/3 and 1/4. The coefficients are those of
-    1, y, z, x, xy, yz, z^2, xz and x^2 - y^2; the -1 of 3 z^2 - 1 is in the first.
+    Spherical harmonics up to degree 2, attenuated by the cosine lobe by 1, 2/3 and 1/4. The coefficients belong to the terms
+    1, y, z, x, xy, yz, z^2, xz and x^2 - y^2; the -1 of 3 z^2 - 1 is included in the first.
     """
     small = np.asarray(cv2.resize(image, (128, 64), interpolation=cv2.INTER_AREA), dtype=np.float64)
     n = directions(64)
@@ -109,18 +109,18 @@ def irradiance(image: F32) -> F32:
     terms = np.stack([one, y, z, x, x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y])
     # Squares of the normalisation of each term.
     norms = np.array([1 / 4, 3 / 4, 3 / 4, 3 / 4, 15 / 4, 15 / 4, 5 / 16, 15 / 4, 15 / 16]) / np.pi
-    passed = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 1 / 4, 1 / 4, 1 / 4, 1 / 4, 1 / 4])
-    factors: F64 = np.einsum("thw,hwc,hw->tc", terms, small, area) * (norms * passed)[:, None]
+    attenuation = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 1 / 4, 1 / 4, 1 / 4, 1 / 4, 1 / 4])
+    factors: F64 = np.einsum("thw,hwc,hw->tc", terms, small, area) * (norms * attenuation)[:, None]
     factors[0] -= factors[6]
     factors[6] *= 3.0
     return np.asarray(factors, dtype=np.float32)
 
 
 def octahedral_rays(size: int) -> F64:
-    """Returns the unit vectors of the texels of an octahedral image with a border of one texel, (size, size, 3); row = y."""
+    """Returns the unit vectors of the texels of an octahedral image with a border of one texel, (size, size, 3); rows are y."""
     e = (np.arange(size) - 0.5) / (size - 2) * 2.0 - 1.0
     x, y = np.meshgrid(e, e)
-    # The border continues beyond the edge: each edge is folded onto itself about its middle.
+    # Border texels lie beyond the edge: each edge is folded onto itself about its middle.
     over = np.abs(x) > 1.0
     x, y = np.where(over, np.sign(x) * 2.0 - x, x), np.where(over, -y, y)
     over = np.abs(y) > 1.0
@@ -133,7 +133,7 @@ def octahedral_rays(size: int) -> F64:
 
 
 def reflections(image: F32) -> NDArray[np.float16]:
-    """Returns the prefiltered image for rising roughness, by the reflected direction, (8, 256, 256, 3) float16, octahedral.
+    """Returns the prefiltered image for increasing roughness, by reflected direction, (8, 256, 256, 3) float16, octahedral.
 
     Each layer is the image filtered by the GGX lobe at normal incidence (the first half of the split sum; the second is ``reflectance``).
     """
@@ -141,20 +141,20 @@ def reflections(image: F32) -> NDArray[np.float16]:
     while pyramid[-1].shape[0] > 8:
         height, width = pyramid[-1].shape[:2]
         pyramid.append(np.asarray(cv2.resize(pyramid[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)))
-    layers = [look_up(_for_texels(pyramid, 4.0 * np.pi / REFLECTION_SIZE**2), octahedral_rays(REFLECTION_SIZE))]
+    layers = [look_up(_level_for(pyramid, 4.0 * np.pi / REFLECTION_SIZE**2), octahedral_rays(REFLECTION_SIZE))]
     for k in range(1, REFLECTION_LAYERS):
         size = REFLECTION_SIZE // 2 if k < 3 else REFLECTION_SIZE // 4
-        layers.append(_enlarged(_filtered(pyramid, size, k / (REFLECTION_LAYERS - 1))))
+        layers.append(_enlarge(_filter(pyramid, size, k / (REFLECTION_LAYERS - 1))))
     return np.minimum(np.stack(layers), _BRIGHTEST).astype(np.float16)
 
 
-def _for_texels(pyramid: list[F32], solid_angle: float) -> F32:
-    """Returns the pyramid level whose pixels at the horizon cover about this solid angle."""
+def _level_for(pyramid: list[F32], solid_angle: float) -> F32:
+    """Returns the pyramid level whose pixels at the horizon cover about the given solid angle, sr."""
     level = 0.5 * np.log2(max(solid_angle / (2.0 * np.pi**2 / pyramid[0].shape[0] ** 2 / 2.0), 1.0))
     return pyramid[min(round(float(level)), len(pyramid) - 1)]
 
 
-def _filtered(pyramid: list[F32], size: int, roughness: float) -> F32:
+def _filter(pyramid: list[F32], size: int, roughness: float) -> F32:
     """Returns the image filtered by the GGX lobe of a roughness, by importance sampling, (size, size, 3)."""
     n = octahedral_rays(size)
     up = np.where(np.abs(n[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
@@ -170,18 +170,18 @@ def _filtered(pyramid: list[F32], size: int, roughness: float) -> F32:
         z = 2.0 * cos2 - 1.0
         if z <= 0.0:
             continue
-        # Density of reflected directions: that of half vectors over 4 v.h, with n = v.
+        # Density of reflected directions: density of half vectors divided by 4 v.h, with n = v.
         density = a2 / (np.pi * (cos2 * (a2 - 1.0) + 1.0) ** 2) / 4.0
         r, angle = 2.0 * cos * sin, 2.0 * np.pi * u1
         ray = (r * np.cos(angle)) * t + (r * np.sin(angle)) * b + z * n
-        # Coarser levels for rarer samples: fewer samples without speckles (Krivanek, Colbert 2008).
-        total += look_up(_for_texels(pyramid, 2.0 / (_SAMPLES * density)), ray) * np.float32(z)
+        # Coarser pyramid levels for samples of low density avoid speckles with few samples (Krivanek, Colbert 2008).
+        total += look_up(_level_for(pyramid, 2.0 / (_SAMPLES * density)), ray) * np.float32(z)
         weights += z
     return np.asarray(total / np.float32(weights), dtype=np.float32)
 
 
-def _enlarged(small: F32) -> F32:
-    """Returns an octahedral image at full size."""
+def _enlarge(small: F32) -> F32:
+    """Returns an octahedral image resampled to full size."""
     size = small.shape[0]
     e = (np.arange(REFLECTION_SIZE, dtype=np.float32) - 0.5) / (REFLECTION_SIZE - 2) * (size - 2) + 0.5
     x, y = np.meshgrid(e, e)
@@ -195,10 +195,10 @@ def _hammersley(count: int) -> list[tuple[float, float]]:
 
 
 def reflectance() -> NDArray[np.float16]:
-    """Returns the directional albedo of a surface of f0, ``f0 a + b``: (32, 32, 2) float16 (a, b).
+    """Returns the directional albedo ``f0 a + b`` of a surface with normal reflectance f0, as a table of (a, b), (32, 32, 2) float16.
 
     Rows: roughness 0 to 1, columns: cosine between normal and eye 0 to 1, both ends included. GGX, joint Smith, Schlick, as in
-    lighting.glsl, which adds the multiple scattering that is left out here.
+    lighting.glsl, which adds multiple scattering.
     """
     cosines = np.linspace(0.0, 1.0, REFLECTANCE_SIZE).clip(1e-3)
     table = np.zeros((REFLECTANCE_SIZE, REFLECTANCE_SIZE, 2))
@@ -210,11 +210,11 @@ def reflectance() -> NDArray[np.float16]:
         v = np.stack([np.sqrt(1.0 - cosines**2), cosines], axis=1)
         v_h = v @ h.T
         n_l = 2.0 * v_h * h[:, 1] - cosines[:, None]
-        good = (n_l > 0.0) & (v_h > 0.0)
-        n_l = np.where(good, n_l, 1.0)
+        valid = (n_l > 0.0) & (v_h > 0.0)
+        n_l = np.where(valid, n_l, 1.0)
         n_v = cosines[:, None]
-        visible = 0.5 / (n_l * np.sqrt(n_v**2 * (1.0 - a2) + a2) + n_v * np.sqrt(n_l**2 * (1.0 - a2) + a2))
-        weight = np.where(good, 4.0 * n_l * visible * v_h / cos, 0.0)
+        visibility = 0.5 / (n_l * np.sqrt(n_v**2 * (1.0 - a2) + a2) + n_v * np.sqrt(n_l**2 * (1.0 - a2) + a2))
+        weight = np.where(valid, 4.0 * n_l * visibility * v_h / cos, 0.0)
         fresnel = (1.0 - np.clip(v_h, 0.0, 1.0)) ** 5
         table[row] = np.stack([((1.0 - fresnel) * weight).mean(axis=1), (fresnel * weight).mean(axis=1)], axis=1)
     return table.astype(np.float16)

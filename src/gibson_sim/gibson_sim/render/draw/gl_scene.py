@@ -1,4 +1,4 @@
-"""Draws pinhole pictures of a scene in GPU memory; the one place where the optical frame becomes OpenGL's clip space."""
+"""Draws pinhole pictures of a scene in GPU memory; the only module that converts the optical frame to OpenGL clip space."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ _LINKS, _LINKS_BEFORE, _MATERIALS, _APPEARANCES = 0, 1, 2, 3
 """Bindings of the storage buffers."""
 _NOTHING, _UNKNOWN = np.zeros(4, dtype=np.float32), np.full(4, np.nan, dtype=np.float32)
 _SKY = np.array([1.0, 1.0, 1.0, 0.0], dtype=np.float32)
-"""Normals where only the sky is seen: no surface, as without a sky, and no hole either."""
+"""Cleared value of normals with a sky: neither a surface nor a hole."""
 _OCCLUSION_FROM = 1_500
-"""Least number of triangles of pictures that are drawn with occlusion culling."""
+"""Minimum number of triangles for occlusion culling."""
 _NEAR_FROM = 50_000
-"""Least number of triangles of pictures whose nearest triangles are occluders too, if the large ones leave gaps."""
+"""Minimum number of triangles for using the nearest triangles as occluders too, if the large ones leave gaps."""
 _COVERED = 0.9
-"""Part of the pixels that large occluders must cover to leave no gaps."""
+"""Minimum fraction of pixels covered by large occluders without counting as gaps."""
 _BEHIND = -4.0
-"""Polygon offset of occluders, in the smallest steps of a depth: the same triangle passes the depth test later."""
+"""Polygon offset of occluders, in the smallest depth steps, so that the same triangle passes the depth test later."""
 
 
 class GlScene:
@@ -49,11 +49,11 @@ class GlScene:
 
     Args:
         context: it must be current in every call.
-        geometry: what to draw.
+        geometry: geometry to draw.
         light: lighting and background.
-        detail_px: largest error, pixels, of levels of detail in the image; 0 = always draw all triangles.
-        compress: keep textures compressed.
-        cull: leave out what is outside the image, or hidden; off only to check that nothing else changes.
+        detail_px: largest screen-space error of levels of detail, pixels; 0 = always draw all triangles.
+        compress: store textures compressed.
+        cull: frustum and occlusion culling; False only to verify that culling changes no image.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class GlScene:
         self._shadow: SunShadow | None = None
         self._glossy = False
         self.warnings: tuple[str, ...] = ()
-        """Lights that were left out, one line each."""
+        """One line for each omitted group of lights."""
         self._drawn: list[U32] = []
         self._plans: list[DrawPlan] = []
         self._later: list[DrawPlan] = []
@@ -91,12 +91,12 @@ class GlScene:
             raise
 
     def update(self, geometry: SceneGeometry, same_vertices: int, same_indices: int) -> None:
-        """Replaces the geometry under the same light; the context must be current, and ``set_links`` must follow.
+        """Replaces the geometry and keeps the lighting; the context must be current, and ``set_links`` must follow.
 
         Args:
-            geometry: what to draw from now on.
-            same_vertices: number of its leading vertices that are those of the geometry before.
-            same_indices: likewise.
+            geometry: new geometry.
+            same_vertices: number of its leading vertices that are unchanged.
+            same_indices: number of its leading indices that are unchanged.
         """
         if self._shadow is not None:
             self._shadow.close()
@@ -104,7 +104,7 @@ class GlScene:
         self._load(geometry, same_vertices, same_indices)
 
     def _load(self, b: SceneGeometry, same_vertices: int, same_indices: int) -> None:
-        before = self._geometry if self._material_maps is not None else None
+        old = self._geometry if self._material_maps is not None else None
         self._geometry, self._visibility = b, Visibility(b)
         self._planner = DrawPlanner(b, self._visibility, self._detail_px, cull=self._cull)
         self._moving = np.array([batch.moving for batch in b.batches], dtype=bool)
@@ -114,7 +114,7 @@ class GlScene:
             self._occluders.update(b, same_indices)
             self._memory.load_occluders(self._occluders.indices)
             self._occluder_draws = draw_table(b, self._occluders.first, self._occluders.count)
-        if before is None or before.map_sets != b.map_sets or not np.array_equal(before.patterns, b.patterns):
+        if old is None or old.map_sets != b.map_sets or not np.array_equal(old.patterns, b.patterns):
             if self._material_maps is not None:
                 self._material_maps.close()
             self._material_maps = MaterialMaps(self._context, b)
@@ -130,29 +130,30 @@ class GlScene:
 
     @property
     def texture_bytes(self) -> int:
-        """GPU memory of the textures of materials."""
+        """GPU memory of the textures of materials, bytes."""
         return self._memory.texture_bytes
 
     @property
     def drawn_triangles(self) -> int:
-        """Number of triangles of the last call of ``draw``."""
+        """Number of triangles drawn by the last call of ``draw``."""
         return sum(int(draws[:, 0].sum(dtype=np.int64)) for draws in self._drawn) // 3
 
     def _upload(self, buffer: int, data: NDArray[Any]) -> None:
         self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STREAM_DRAW)
 
-    def set_links(self, T_world_links: F64, before: F64 | None = None) -> None:
-        """Sets the link poses of the pictures that follow.
+    def set_links(self, T_world_links: F64, T_previous: F64 | None = None) -> None:
+        """Sets the link poses of the next pictures.
 
         Args:
-            T_world_links: (L + 1, 4, 4): the identity for the world itself, then every link.
-            before: the same of the state before, for the flow; None = nothing has moved.
+            T_world_links: (L + 1, 4, 4): the identity for the world, then the pose of every link.
+            T_previous: T_world_links of the previous state, for optical flow; None = no motion.
         """
         self._T_world_links = T_world_links
         if len(T_world_links) > 1:
             self._upload(self._links, np.ascontiguousarray(T_world_links[:, :3], dtype=np.float32))
             self._upload(
-                self._links_before, np.ascontiguousarray((T_world_links if before is None else before)[:, :3], dtype=np.float32)
+                self._links_before,
+                np.ascontiguousarray((T_world_links if T_previous is None else T_previous)[:, :3], dtype=np.float32),
             )
 
     def draw(
@@ -161,10 +162,10 @@ class GlScene:
         """Clears a target and draws pictures into it, with all features of the target.
 
         Args:
-            target: what to draw into.
-            pictures: side by side.
-            color: False = without colours.
-            moving_later: leave the translucent surfaces of what moves to ``draw_moving_translucent``.
+            target: target to draw into.
+            pictures: pictures, side by side.
+            color: whether to draw colours.
+            moving_later: leave translucent surfaces of moving links to ``draw_moving_translucent``.
         """
         if color:
             self._update_shadow()
@@ -179,7 +180,7 @@ class GlScene:
         if occlusion and target.samples == 1:
             plans = self._occlusion_culled(target, plans)
         elif occlusion:
-            # The depth at a pixel's centre says nothing about its other samples, and multisampled depths cannot be read.
+            # The depth at a pixel's centre is no bound for its other samples, and multisampled depths cannot be read back.
             self._fill_occluders(target, plans)
             self._gl.glDisable(GL.POLYGON_OFFSET_FILL)
         self._plans = plans
@@ -226,15 +227,15 @@ class GlScene:
             clear(GL.COLOR, ATTACHMENT[feature], self._nothing(feature).ctypes.data)
 
     def _nothing(self, feature: Feature) -> NDArray[np.float32]:
-        """Returns the value of a feature where nothing is drawn."""
+        """Returns the clear value of a feature."""
         if feature == "NORMALS" and self._lighting is not None and self._lighting.has_sky:
             return _SKY
         return _UNKNOWN if feature == "FLOW" else _NOTHING
 
     def _occlusion_culled(self, target: RenderTarget, plans: Sequence[DrawPlan]) -> list[DrawPlan]:
-        """Returns the plans without what is hidden behind the occluders, whose depth the target has afterwards."""
+        """Returns the plans without draws hidden behind the occluders, and leaves the depth of the occluders in the target."""
         self._fill_occluders(target, plans)
-        self._gl.glFlush()  # the driver draws while the queries are prepared
+        self._gl.glFlush()  # the driver renders while the queries are prepared
         queries = self._planner.occlusion_queries(plans)
         depth = self._read_depth(target)
         if sum(plan.triangles for plan in plans) >= _NEAR_FROM and np.count_nonzero(depth) < _COVERED * depth.size:
@@ -244,7 +245,7 @@ class GlScene:
         return [query.visible(_crop(depth, plan.picture)) for query, plan in zip(queries, plans, strict=True)]
 
     def _fill_occluders(self, target: RenderTarget, plans: Sequence[DrawPlan]) -> None:
-        """Clears the depth of a target and fills it with the large occluders, with a polygon offset that stays on."""
+        """Clears the depth of a target and draws the large occluders into it; leaves polygon offset enabled."""
         gl = self._gl
         target.use_depth()
         gl.glClearBufferfv(GL.DEPTH, 0, _NOTHING.ctypes.data)
@@ -255,7 +256,7 @@ class GlScene:
         gl.glBindVertexArray(self._memory.array)
 
     def _fill_depth(self, plans: Sequence[DrawPlan], selected: Sequence[I64], table: U32) -> None:
-        """Draws the depth of the selected clusters of each picture, which have no holes, by rows of ``table``."""
+        """Draws the depth of the selected clusters of each picture, which have no alpha-tested holes, with draw commands of ``table``."""
         sent = [self._planner.depth_draws(clusters, table) for clusters in selected]
         self._upload_draws([draws for draws, _ in sent])
         first = 0
@@ -270,15 +271,15 @@ class GlScene:
         self._draw_both_sides(True)
 
     def _read_depth(self, target: RenderTarget) -> NDArray[np.float32]:
-        """Returns the depth of the target so far: near / depth, (H, W)."""
+        """Returns the current depth of the target: near / depth, (H, W)."""
         out = np.empty((target.height, target.width), dtype=np.float32)
         self._gl.glReadPixels(0, 0, target.width, target.height, GL.DEPTH_COMPONENT, GL.FLOAT, out.ctypes.data)
         return out
 
     def _upload_draws(self, draws: Sequence[U32]) -> None:
-        every = np.concatenate(draws)
-        if len(every):
-            self._upload(self._draw_buffer, every)
+        commands = np.concatenate(draws)
+        if len(commands):
+            self._upload(self._draw_buffer, commands)
 
     def _bind_picture(self, picture: PinholePicture, number: int) -> None:
         """Sets the viewport and the view uniforms of a picture."""
@@ -298,8 +299,8 @@ class GlScene:
         self._later = []
         if color and moving_later:
             later = [self._moving[plan.batch] & (np.arange(len(plan.batch)) >= plan.opaque) for plan in plans]
-            self._later = [plan.subset(mine) for plan, mine in zip(plans, later, strict=True)]
-            plans = [plan.subset(~mine) for plan, mine in zip(plans, later, strict=True)]
+            self._later = [plan.subset(mask) for plan, mask in zip(plans, later, strict=True)]
+            plans = [plan.subset(~mask) for plan, mask in zip(plans, later, strict=True)]
         self._drawn = [plan.draws if color else plan.draws[: plan.opaque] for plan in plans]
         self._upload_draws(self._drawn)
         first = 0
@@ -309,16 +310,16 @@ class GlScene:
             first += len(draws)
 
     def _sorted_translucent(self, plans: Sequence[DrawPlan]) -> list[DrawPlan]:
-        """Returns the plans with translucent draws that read sorted indices, and uploads these."""
-        found, sent, before = [], [], 0
+        """Returns the plans with translucent draws that read sorted indices, and uploads these indices."""
+        out, sorted_indices, offset = [], [], 0
         for plan in plans:
-            less, indices = plan.sorted_translucent(self._geometry.indices, before)
-            found.append(less)
-            sent.append(indices)
-            before += len(indices)
-        if before:
-            self._memory.load_sorted(np.concatenate(sent))
-        return found
+            sorted_plan, indices = plan.sorted_translucent(self._geometry.indices, offset)
+            out.append(sorted_plan)
+            sorted_indices.append(indices)
+            offset += len(indices)
+        if offset:
+            self._memory.load_sorted(np.concatenate(sorted_indices))
+        return out
 
     def _draw_picture(self, plan: DrawPlan, first: int, features: tuple[Feature, ...], color: bool) -> None:
         gl = self._gl
@@ -332,7 +333,7 @@ class GlScene:
                 gl.glEnable(GL.BLEND)
                 gl.glBlendFunc(GL.SRC_ALPHA, GL.ONE_MINUS_SRC_ALPHA)
                 gl.glDepthMask(0)
-                self._mask_features(features, 0)  # labels and normals are those of the opaque surface behind, as the depth is
+                self._mask_features(features, 0)  # labels and normals, like depth, are those of the opaque surface behind
             self._bind_batch(multi_draw, features, color)
             self._draw_both_sides(not (plan.cull_back_faces and self._closed[multi_draw.batch]))
             self._multi_draw(first, multi_draw.draws)
@@ -377,11 +378,11 @@ class GlScene:
         return self._visibility.bounds(T_world_links)
 
     def link_boxes(self) -> tuple[F64, F64]:
-        """Returns the poses of all links, (L + 1, 4, 4), the world first, and the box of each in its frame, (L', 6), centre and half extents."""
+        """Returns T_world_links, (L + 1, 4, 4), the world first, and the box of each link in its frame, (L', 6), centre and half extents."""
         return self._T_world_links, self._visibility.link_box
 
     def draw_moving_depth(self, pictures: Sequence[PinholePicture]) -> None:
-        """Draws the depth of what belongs to links into the framebuffer that is bound; ``draw`` has drawn these pictures last."""
+        """Draws the opaque depth of moving links into the bound framebuffer; the last call of ``draw`` must have drawn these pictures."""
         plans = [plan.subset(self._moving[plan.batch] & (np.arange(len(plan.batch)) < plan.opaque)) for plan in self._plans]
         if not any(len(plan.draws) for plan in plans):
             return
@@ -400,7 +401,7 @@ class GlScene:
         self._draw_both_sides(True)
 
     def draw_moving_translucent(self, target: RenderTarget) -> None:
-        """Draws what ``draw`` left for later into the colours of a target that has the depth of the same pictures."""
+        """Draws the translucent surfaces that ``draw`` left out into the colours of a target that has the depth of the same pictures."""
         plans = self._later
         if not any(len(plan.draws) for plan in plans):
             return
@@ -427,14 +428,14 @@ class GlScene:
         gl.glBindVertexArray(self._memory.array)
 
     def draw_depth(self, clip_from_world: Mat4, T_world_links: F64, texel: float, *, static: bool, moving: bool) -> None:
-        """Draws the opaque pass into the depth buffer that is bound; ``set_links`` must have been called with these poses.
+        """Draws the opaque pass into the bound depth buffer; ``set_links`` must have been called with these poses.
 
         Args:
-            clip_from_world: (4, 4), orthographic.
+            clip_from_world: (4, 4), orthographic projection.
             T_world_links: (L + 1, 4, 4).
-            texel: metres, largest error of surfaces.
-            static: draw what belongs to the world.
-            moving: draw what belongs to links.
+            texel: largest geometric error of surfaces, metres.
+            static: draw static geometry.
+            moving: draw geometry of links.
         """
         clusters = self._visibility.select_for_error(texel)
         plan = self._planner.opaque_plan(clusters[np.where(self._moving, moving, static)[self._visibility.batch_of[clusters]]])
@@ -457,7 +458,7 @@ class GlScene:
             self._gl.glColorMaski(ATTACHMENT[feature], write, write, write, write)
 
     def close(self) -> None:
-        """Frees everything; a second call does nothing."""
+        """Frees all GPU resources; a second call does nothing."""
         buffers, self._buffers = self._buffers, []
         for part in (self._lighting, self._material_maps, self._shadow, self._memory, self._programs):
             if part is not None:

@@ -1,6 +1,6 @@
-"""Which cameras are drawn together into one target, and where in it.
+"""Groups cameras by target and arranges their images in it.
 
-Callers pass the same camera objects for picture after picture, so groups, and other results for cameras, are cached by identity.
+Callers pass the same camera objects for every frame, so groups and other results for cameras are cached by identity.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gibson_sim.render.draw.target import Feature, draws_colors, features_of
 from gibson_sim.types import CameraSpec
 
 _MAX_ENTRIES = 256
-"""Results that a cache keeps before it starts anew."""
+"""Maximum number of results in a cache; a full cache is cleared."""
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
@@ -24,14 +24,14 @@ class CameraGroup:
     """Cameras whose images are drawn into one target."""
 
     features: tuple[Feature, ...]
-    """Of the target."""
+    """Features of the target."""
     width: int
-    """Of the target, pixels."""
+    """Width of the target, pixels."""
     height: int
     numbers: tuple[int, ...]
-    """Of the cameras."""
+    """Indices of the cameras."""
     places: tuple[tuple[int, int], ...]
-    """(left column, top row) of the image of each."""
+    """(left column, top row) of the image of each camera."""
 
 
 class CameraGrouping:
@@ -46,27 +46,27 @@ class CameraGrouping:
         self._known: dict[tuple[int, ...], tuple[tuple[CameraSpec, ...], tuple[CameraGroup, ...]]] = {}
 
     def of(self, cameras: Sequence[CameraSpec]) -> tuple[CameraGroup, ...]:
-        """Returns the groups of cameras; each camera is in one of them."""
+        """Returns the groups of cameras; each camera is in exactly one group."""
         key = tuple(map(id, cameras))
-        found = self._known.get(key)
-        if found is None:
+        entry = self._known.get(key)
+        if entry is None:
             if len(self._known) >= _MAX_ENTRIES:
                 self._known.clear()
-            found = self._known[key] = tuple(cameras), tuple(self._groups(cameras))
-        return found[1]
+            entry = self._known[key] = tuple(cameras), tuple(self._groups(cameras))
+        return entry[1]
 
     def _groups(self, cameras: Sequence[CameraSpec]) -> list[CameraGroup]:
         groups = []
-        for features, numbers in _alike(cameras):
+        for features, numbers in _by_features(cameras):
             for inside, tiles in arrange([(cameras[k].width, cameras[k].height) for k in numbers], self._largest):
                 groups.append(CameraGroup(features, tiles.width, tiles.height, tuple(numbers[i] for i in inside), tiles.places))
         return groups
 
 
-def _alike(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], list[int]]]:
-    """Returns the numbers of the cameras by what is drawn for them: features, colours or none, samples.
+def _by_features(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], list[int]]]:
+    """Returns the indices of the cameras grouped by features, colour output and number of samples.
 
-    Cameras on bodies and others (views) are apart: a robot's images are the same, to the bit, with and without views beside them.
+    Cameras on links and views are in different groups, so that a robot's images are bit-identical with and without views.
     """
     groups: dict[tuple[tuple[Feature, ...], bool, int, bool], list[int]] = {}
     for k, camera in enumerate(cameras):
@@ -78,28 +78,28 @@ def _alike(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], lis
 
 @dataclass(frozen=True, slots=True)
 class Tiles:
-    """Images side by side in a target."""
+    """Arrangement of images in a target."""
 
     width: int
-    """Of the target, pixels."""
+    """Width of the target, pixels."""
     height: int
     places: tuple[tuple[int, int], ...]
     """(left column, top row) of each image."""
 
 
 def arrange(sizes: Sequence[tuple[int, int]], limit: int) -> list[tuple[list[int], Tiles]]:
-    """Places images (width, height) in rows, the tallest first.
+    """Arranges images (width, height) in rows, tallest first.
 
     Args:
-        sizes: of the images, pixels.
-        limit: longest side of a target.
+        sizes: sizes of the images, pixels.
+        limit: longest side of a target, pixels.
 
     Returns:
-        For each target the numbers of the images in it, and their places. An image above the limit gets a target of its own.
+        For each target the indices of its images, and their positions. An image larger than the limit gets a separate target.
     """
     area = sum(w * h for w, h in sizes)
     widest = max((w for w, _ in sizes), default=1)
-    # About square, in whole columns of the widest image.
+    # About square, a whole multiple of the width of the widest image.
     width = min(widest * max(1, math.ceil(math.sqrt(area) / widest)), max(limit, widest))
     targets: list[tuple[list[int], Tiles]] = []
     numbers: list[int] = []
@@ -122,21 +122,21 @@ def arrange(sizes: Sequence[tuple[int, int]], limit: int) -> list[tuple[list[int
 
 
 class IdentityCache(Generic[Argument, Result]):
-    """Caches a function of immutable objects by their identity, which is quicker than to compare or to hash them.
+    """Caches a function of immutable objects by their identity, which is faster than comparing or hashing them.
 
     Args:
-        function: of one object; its results are shared and not to be written to.
+        function: function of one object; its results are shared and must not be modified.
     """
 
     def __init__(self, function: Callable[[Argument], Result]) -> None:
         self._function = function
-        self._known: dict[int, tuple[Argument, Result]] = {}  # with the object, so that no other one gets its identity
+        self._known: dict[int, tuple[Argument, Result]] = {}  # keeps the object, so that its id is not reused
 
     def __call__(self, argument: Argument) -> Result:
         """Returns the function's result for an object."""
-        found = self._known.get(id(argument))
-        if found is None:
+        entry = self._known.get(id(argument))
+        if entry is None:
             if len(self._known) >= _MAX_ENTRIES:
                 self._known.clear()
-            found = self._known[id(argument)] = argument, self._function(argument)
-        return found[1]
+            entry = self._known[id(argument)] = argument, self._function(argument)
+        return entry[1]

@@ -1,4 +1,4 @@
-"""Fills the holes of images in a target, in place: the pixels are read to the host, filled, and written back."""
+"""Fills the holes of images in a target in place: reads the pixels to the host, fills them and writes them back."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
 
 class HoleFilling:
-    """What ``CameraSpec.fill`` asks for.
+    """Applies the hole filling of ``CameraSpec.fill``.
 
     Args:
         context: it must be current in every call.
@@ -30,7 +30,7 @@ class HoleFilling:
         self._fillers: dict[str, Filler] = {}
 
     def prepare(self, fill: str) -> Filler:
-        """Returns what fills holes in one way; a network is loaded at the first call.
+        """Returns the filler of a method, a value of ``CameraSpec.fill``; a network is loaded at the first call.
 
         Raises:
             ConfigError: the network cannot be loaded.
@@ -43,8 +43,8 @@ class HoleFilling:
         """Fills the holes of an image.
 
         Args:
-            target: that holds it, with the feature ``NORMALS`` and without multisampling.
-            image: which one.
+            target: target with the image and the feature ``NORMALS``, without multisampling.
+            image: the image to fill.
 
         Raises:
             ConfigError: the network cannot be run.
@@ -62,7 +62,7 @@ class HoleFilling:
         depth, normals = depth_of(raw_depth, camera.near, camera.far), normals_of(raw_normals)
         colour = np.asarray(cv2.cvtColor(raw_color, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
         blended = camera.samples > 1 or camera.projection != "pinhole" or bool(camera.distortion)
-        filled = filler.fill(colour, depth, normals, _widened(hole) if blended else hole, with_depth=with_depth)
+        filled = filler.fill(colour, depth, normals, _dilate(hole) if blended else hole, with_depth=with_depth)
         if colours:
             raw_color[:, :, :3] = filled.colour
             self._write(target, image, "color", raw_color)
@@ -88,8 +88,8 @@ class HoleFilling:
         )  # fmt: skip
 
 
-def _widened(hole: U8) -> U8:
-    """Returns a hole image whose holes are wider by one pixel, whose colours are partly those of the background."""
+def _dilate(hole: U8) -> U8:
+    """Returns a hole image with holes dilated by one pixel: colours of these pixels are partly blended with the background."""
     out = hole.copy()
     rim = (cv2.dilate(is_hole(hole).astype(np.uint8), _NEIGHBOURS) != 0) & (hole == SURFACE)
     out[rim] = NOTHING

@@ -1,4 +1,4 @@
-"""The lights of a scene on the GPU: uniforms, image-based light, and the sky."""
+"""The lights of a scene on the GPU: uniforms, image-based lighting, and the sky."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from gibson_sim.render.draw.target import ATTACHMENT, Feature
 from gibson_sim.scenes.spec import LightSpec, PointLight
 
 MAX_POINTS = 16
-"""Most lamps that are drawn: each costs time in every pixel."""
+"""Maximum number of point lights: each takes time in every pixel."""
 F32 = NDArray[np.float32]
 _BINDING = 1
-"""Of the uniform block ``Light``."""
+"""Binding of the uniform block ``Light``."""
 _REFLECTIONS, _REFLECTANCE = 5, 7
-_SHADOW_AT = 44  # floats: after two vectors and the nine of irradiance
+_SHADOW_AT = 44  # offset in floats: after two vectors and the nine irradiance vectors
 
 
 class Lighting:
@@ -32,10 +32,10 @@ class Lighting:
     Args:
         context: it must be current in every call.
         light: lighting and background.
-        glossy: whether any material has highlights.
+        glossy: whether any material has specular highlights.
 
     Raises:
-        SceneError: the environment image cannot be used.
+        SceneError: the environment image cannot be read or is not equirectangular.
     """
 
     def __init__(self, context: GlContext, light: LightSpec, *, glossy: bool) -> None:
@@ -44,7 +44,7 @@ class Lighting:
         self._buffer = 0
         self._sky: Sky | None = None
         self.warnings: tuple[str, ...] = ()
-        """Lights that were left out, one line each."""
+        """One line for each omitted group of lights."""
         points = light.points[:MAX_POINTS]
         if len(points) < len(light.points):
             self.warnings = (f"the scene has {len(light.points)} lamps; the first {MAX_POINTS} are drawn",)
@@ -55,14 +55,14 @@ class Lighting:
             )
             if on
         )  # fmt: skip
-        """Macros of every program that computes lighting."""
+        """Preprocessor macros of every program that computes lighting."""
         self.background = np.array([*linear_from_srgb(light.background), 1.0], dtype=np.float32)
-        """Linear colour and alpha."""
+        """Linear colour and alpha of the background."""
         try:
             image = _image(light)
-            self._numbers = _numbers(light, points, image)
+            self._uniforms = _uniforms(light, points, image)
             self._buffer = self._gl.create("glCreateBuffers")
-            self._send()
+            self._upload()
             if image is not None and glossy:
                 self._textures[_REFLECTIONS] = self._layers(reflections(image))
             if glossy:
@@ -76,7 +76,7 @@ class Lighting:
             raise
 
     def bind(self) -> None:
-        """Binds its buffer and textures."""
+        """Binds the uniform buffer and the textures."""
         self._gl.glBindBufferBase(GL.UNIFORM_BUFFER, _BINDING, self._buffer)
         for unit, texture in self._textures.items():
             self._gl.glBindTextureUnit(unit, texture)
@@ -87,27 +87,27 @@ class Lighting:
 
         Args:
             shadow_from_world: (4, 4), to texture coordinates and depth.
-            texel: metres.
-            size: texels along a side.
+            texel: size of a texel, metres.
+            size: side of the map, texels.
         """
-        numbers = np.array([*shadow_from_world.T.ravel(), texel, 0.5 / size], dtype=np.float32)
-        place = slice(_SHADOW_AT, _SHADOW_AT + len(numbers))
-        if not np.array_equal(self._numbers[place], numbers):
-            self._numbers[place] = numbers
-            self._send()
+        values = np.array([*shadow_from_world.T.ravel(), texel, 0.5 / size], dtype=np.float32)
+        part = slice(_SHADOW_AT, _SHADOW_AT + len(values))
+        if not np.array_equal(self._uniforms[part], values):
+            self._uniforms[part] = values
+            self._upload()
 
     @property
     def has_sky(self) -> bool:
-        """Whether the sky is drawn."""
+        """Whether the scene has a sky."""
         return self._sky is not None
 
     def draw_sky(self, features: tuple[Feature, ...]) -> None:
-        """Draws the sky where nothing is, if the scene has one; the view and the viewport must be set."""
+        """Draws the sky into pixels without depth, if the scene has one; the view and the viewport must be set."""
         if self._sky is not None:
             self._sky.draw(features)
 
-    def _send(self) -> None:
-        self._gl.glNamedBufferData(self._buffer, self._numbers.nbytes, self._numbers.ctypes.data, GL.STATIC_DRAW)
+    def _upload(self) -> None:
+        self._gl.glNamedBufferData(self._buffer, self._uniforms.nbytes, self._uniforms.ctypes.data, GL.STATIC_DRAW)
 
     def _layers(self, images: NDArray[np.float16]) -> int:
         gl = self._gl
@@ -117,7 +117,7 @@ class Lighting:
         images = np.ascontiguousarray(images)
         gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
         gl.glTextureSubImage3D(texture, 0, 0, 0, 0, width, height, layers, GL.RGB, GL.HALF_FLOAT, images.ctypes.data)
-        _smooth(gl, texture)
+        _set_linear_filter(gl, texture)
         return texture
 
     def _table(self, table: NDArray[np.float16]) -> int:
@@ -126,7 +126,7 @@ class Lighting:
         return texture
 
     def close(self) -> None:
-        """Frees it; a second call does nothing."""
+        """Frees the GPU resources; a second call does nothing."""
         textures, self._textures = self._textures, {}
         for texture in textures.values():
             self._gl.delete("glDeleteTextures", texture)
@@ -139,7 +139,7 @@ class Lighting:
 
 
 class Sky:
-    """An environment image that is drawn where nothing is.
+    """An environment image drawn as the background.
 
     Args:
         context: it must be current in every call.
@@ -151,12 +151,12 @@ class Sky:
         self._texture = self._gl.create("glCreateTextures", GL.TEXTURE_2D)
         _fill(self._gl, self._texture, image.astype(np.float16), GL.RGB16F, GL.RGB)
         self._program = context.gl.program(
-            vertex_shader=shader_text("sky.vert", before=("view.glsl",)), fragment_shader=shader_text("sky.frag")
+            vertex_shader=shader_text("sky.vert", includes=("view.glsl",)), fragment_shader=shader_text("sky.frag")
         )
         self._array = context.gl.vertex_array(self._program, [])
 
     def draw(self, features: tuple[Feature, ...]) -> None:
-        """Fills the colours of pixels without depth; other outputs stay as they are."""
+        """Fills the colours of pixels without depth; other outputs are unchanged."""
         gl = self._gl
         for feature in features:
             gl.glColorMaski(ATTACHMENT[feature], 0, 0, 0, 0)
@@ -173,7 +173,7 @@ class Sky:
             gl.glColorMaski(ATTACHMENT[feature], 1, 1, 1, 1)
 
     def close(self) -> None:
-        """Frees it; a second call does nothing."""
+        """Frees the GPU resources; a second call does nothing."""
         if self._texture:
             self._gl.delete("glDeleteTextures", self._texture)
             self._texture = 0
@@ -182,19 +182,19 @@ class Sky:
 
 
 def _image(light: LightSpec) -> F32 | None:
-    """Returns the environment image in the world frame, times its strength, or None."""
+    """Returns the environment image in the world frame, scaled by its strength, or None if the scene has none."""
     if not light.environment:
         return None
     image = load_environment(Path(light.environment)) * np.float32(light.environment_strength)
     # Left in the image is counter-clockwise, so a positive yaw rolls columns to the left.
     columns = light.environment_yaw / (2.0 * math.pi) * image.shape[1]
     whole = math.floor(columns)
-    part = np.float32(columns - whole)
-    turned = np.roll(image, -whole, axis=1) * (1 - part) + np.roll(image, -whole - 1, axis=1) * part
-    return np.ascontiguousarray(turned, dtype=np.float32)
+    fraction = np.float32(columns - whole)
+    rotated = np.roll(image, -whole, axis=1) * (1 - fraction) + np.roll(image, -whole - 1, axis=1) * fraction
+    return np.ascontiguousarray(rotated, dtype=np.float32)
 
 
-def _numbers(light: LightSpec, points: tuple[PointLight, ...], image: F32 | None) -> F32:
+def _uniforms(light: LightSpec, points: tuple[PointLight, ...], image: F32 | None) -> F32:
     """Returns the content of the uniform block ``Light``."""
     rows = np.zeros((16 + 4 * len(points), 4), dtype=np.float32)
     rows[0, :3] = -_unit(light.sun_direction)
@@ -226,17 +226,17 @@ def _unit(vector: Any) -> NDArray[np.float64]:
     return np.asarray(v / max(float(np.linalg.norm(v)), 1e-12))
 
 
-def _fill(gl: GL.Gl, texture: int, pixels: NDArray[Any], form: int, channels: int) -> None:
+def _fill(gl: GL.Gl, texture: int, pixels: NDArray[Any], internal_format: int, channels: int) -> None:
     """Allocates a texture with one level and uploads half floats, (H, W, C)."""
     height, width = pixels.shape[:2]
     pixels = np.ascontiguousarray(pixels)
-    gl.glTextureStorage2D(texture, 1, form, width, height)
+    gl.glTextureStorage2D(texture, 1, internal_format, width, height)
     gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
     gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, channels, GL.HALF_FLOAT, pixels.ctypes.data)
-    _smooth(gl, texture)
+    _set_linear_filter(gl, texture)
 
 
-def _smooth(gl: GL.Gl, texture: int) -> None:
+def _set_linear_filter(gl: GL.Gl, texture: int) -> None:
     for name, value in (
         (GL.TEXTURE_MIN_FILTER, GL.LINEAR), (GL.TEXTURE_MAG_FILTER, GL.LINEAR),
         (GL.TEXTURE_WRAP_S, GL.CLAMP_TO_EDGE), (GL.TEXTURE_WRAP_T, GL.CLAMP_TO_EDGE),

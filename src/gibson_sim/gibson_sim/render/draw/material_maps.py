@@ -1,4 +1,4 @@
-"""Material maps, the textures of roughness, normals, occlusion and emission, and the pictures of patterns."""
+"""Material maps, the textures of roughness, normals, occlusion and emission, and the images of patterns."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gibson_sim.render.context import GlContext, gl as GL
 
 _FIRST_UNIT, _PATTERNS = 1, 8
 _NEUTRAL = ((255, 255, 255), (128, 128, 255), (255, 255, 255), (255, 255, 255))
-"""Texel that changes nothing, of metallic-roughness, normals, occlusion, emission."""
+"""Neutral texels of metallic-roughness, normals, occlusion and emission."""
 _EMISSION = 3
 
 
@@ -21,7 +21,7 @@ class MaterialMaps:
 
     Args:
         context: it must be current in every call.
-        geometry: of the scene.
+        geometry: geometry of the scene.
     """
 
     def __init__(self, context: GlContext, geometry: SceneGeometry) -> None:
@@ -31,7 +31,7 @@ class MaterialMaps:
         self._neutral: dict[int, int] = {}
         self._pattern = 0
         try:
-            self._sets = [[self._of(source, k) for k, source in enumerate(found)] for found in geometry.map_sets]
+            self._sets = [[self._of(source, k) for k, source in enumerate(maps)] for maps in geometry.map_sets]
             if len(geometry.patterns):
                 self._pattern = self._layers(geometry.patterns)
         except BaseException:
@@ -56,8 +56,8 @@ class MaterialMaps:
         texture = gl.create("glCreateTextures", GL.TEXTURE_2D)
         gl.glTextureStorage2D(texture, max(width, height).bit_length(), GL.SRGB8_ALPHA8 if srgb else GL.RGBA8, width, height)
         gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
-        form = GL.RGB if channels == 3 else GL.RGBA
-        gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, form, GL.UNSIGNED_BYTE, pixels.ctypes.data)
+        pixel_format = GL.RGB if channels == 3 else GL.RGBA
+        gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, pixel_format, GL.UNSIGNED_BYTE, pixels.ctypes.data)
         self._finish(texture, width * height)
         return texture
 
@@ -85,13 +85,13 @@ class MaterialMaps:
             self._gl.glBindSampler(_PATTERNS, 0)
 
     def bind_maps(self, number: int) -> None:
-        """Binds one of ``SceneGeometry.map_sets`` to its texture units."""
+        """Binds one of ``SceneGeometry.map_sets`` to the texture units of material maps."""
         for unit, texture in enumerate(self._sets[number], _FIRST_UNIT):
             self._gl.glBindTextureUnit(unit, texture)
             self._gl.glBindSampler(unit, 0)
 
     def close(self) -> None:
-        """Frees them; a second call does nothing."""
+        """Frees the textures; a second call does nothing."""
         textures = [*self._textures.values(), *self._neutral.values(), *([self._pattern] if self._pattern else [])]
         self._textures, self._neutral, self._pattern = {}, {}, 0
         for texture in textures:

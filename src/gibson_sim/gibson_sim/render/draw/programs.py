@@ -1,4 +1,4 @@
-"""The shader programs of a scene: one for each combination of needs of a batch and a target, compiled at its first use."""
+"""The shader programs of a scene: one for each combination of settings of a batch and a target, compiled at first use."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _MATERIAL_UNIFORMS = (("u_color", "color"), ("u_surface", "surface"), ("u_emissi
 
 @dataclass(slots=True, eq=False)
 class Program:
-    """A program, and the locations of the uniforms that differ from batch to batch."""
+    """A program, and the locations of its uniforms that differ between batches."""
 
-    made: moderngl.Program
+    handle: moderngl.Program
     number: int
-    """OpenGL's."""
+    """OpenGL name of the program."""
     translucent: int
-    """Location of ``u_translucent``; -1 = it has none."""
+    """Location of ``u_translucent``; -1 = unused."""
     material: tuple[tuple[int, int], ...]
-    """Location of each uniform of a material, and offset of its value in ``MATERIAL``, bytes."""
+    """Location of each material uniform, and offset of its value in ``MATERIAL``, bytes."""
     current: tuple[int, bool] | None = None
-    """Current uniforms: row of the material, -1 = none, and whether it draws the translucent pass."""
+    """Current uniforms: row of the material, -1 = none, and whether the translucent pass is drawn."""
 
 
 class Programs:
@@ -36,32 +36,32 @@ class Programs:
 
     def __init__(self, context: GlContext) -> None:
         self._context, self._gl = context, GL.Gl(context)
-        self._made: dict[tuple[str, ...], Program] = {}
+        self._programs: dict[tuple[str, ...], Program] = {}
         self._of_batch: dict[tuple[int, tuple[Feature, ...], bool], Program] = {}
         self._geometry: SceneGeometry | None = None
         self._light: tuple[str, ...] = ()
         self._materials = np.zeros(0, dtype=MATERIAL)
-        self._rows = 0  # their address
+        self._materials_address = 0
 
     def prepare(self, geometry: SceneGeometry, light: tuple[str, ...]) -> None:
-        """Compiles the programs that pictures of a geometry need, so that the first image does not wait for the compiler.
+        """Compiles the programs needed for a geometry, so that the first image does not wait for the compiler.
 
         Args:
-            geometry: what is drawn from now on.
+            geometry: geometry of the next pictures.
             light: ``Lighting.defines``.
         """
         self._geometry, self._light = geometry, light
         self._materials = np.ascontiguousarray(geometry.materials)
-        self._rows = self._materials.ctypes.data
+        self._materials_address = self._materials.ctypes.data
         self._of_batch = {}
-        for program in self._made.values():
+        for program in self._programs.values():
             program.current = None
         for number, batch in enumerate(geometry.batches):
             self.of(number, ())
             self.depth(moving=batch.moving)
 
     def of(self, number: int, features: tuple[Feature, ...], *, color: bool = True) -> Program:
-        """Returns the program of a batch; without colour it writes depth and features only."""
+        """Returns the program of a batch; without ``color`` it writes only depth and features."""
         key = (number, features, color)
         if key not in self._of_batch:
             assert self._geometry is not None
@@ -69,7 +69,7 @@ class Programs:
         return self._of_batch[key]
 
     def depth(self, *, moving: bool) -> Program:
-        """Returns the program that writes the depth of surfaces without holes."""
+        """Returns the program that writes the depth of surfaces without alpha-tested holes."""
         return self._program(("MOVING",) if moving else (), "depth.frag", ())
 
     def _find(self, batch: Batch, features: tuple[Feature, ...], color: bool) -> Program:
@@ -86,30 +86,30 @@ class Programs:
         lit: tuple[str, ...] = ()
         if lights:
             lit = (*self._light, *(("GLOSS",) if batch.glossy else ()), *(("MATERIAL_MAPS",) if batch.maps >= 0 else ()))
-        before = ("view.glsl", *(("lighting.glsl",) if lights else ()), *(("appearances.glsl",) if flags["APPEARANCE"] else ()))
-        return self._program((*(name for name, on in flags.items() if on), *lit, *features), "scene.frag", before)
+        includes = ("view.glsl", *(("lighting.glsl",) if lights else ()), *(("appearances.glsl",) if flags["APPEARANCE"] else ()))
+        return self._program((*(name for name, on in flags.items() if on), *lit, *features), "scene.frag", includes)
 
-    def _program(self, defines: tuple[str, ...], fragment: str, before: tuple[str, ...]) -> Program:
+    def _program(self, defines: tuple[str, ...], fragment: str, includes: tuple[str, ...]) -> Program:
         key = (fragment, *defines)
-        if key not in self._made:
-            made = self._context.gl.program(
+        if key not in self._programs:
+            handle = self._context.gl.program(
                 vertex_shader=shader_text("scene.vert", defines, ("view.glsl",)),
-                fragment_shader=shader_text(fragment, defines, before),
+                fragment_shader=shader_text(fragment, defines, includes),
             )
-            if "u_texture" in made:
-                made["u_texture"] = 0
-            uniforms = tuple((_location(made, name), MATERIAL.fields[part][1]) for name, part in _MATERIAL_UNIFORMS)  # type: ignore[index]
+            if "u_texture" in handle:
+                handle["u_texture"] = 0
+            uniforms = tuple((_location(handle, name), MATERIAL.fields[part][1]) for name, part in _MATERIAL_UNIFORMS)  # type: ignore[index]
             used = tuple((location, offset) for location, offset in uniforms if location >= 0)
-            self._made[key] = Program(made, made.glo, _location(made, "u_translucent"), used)
-        return self._made[key]
+            self._programs[key] = Program(handle, handle.glo, _location(handle, "u_translucent"), used)
+        return self._programs[key]
 
     def set_uniforms(self, program: Program, material: int, *, translucent: bool) -> None:
-        """Sets the uniforms of a program that differ from batch to batch, unless they are current.
+        """Sets the uniforms of a program that differ between batches, unless they are current.
 
         Args:
-            program: of the batch.
-            material: row in ``SceneGeometry.materials`` of the material of all its triangles; -1 = they have several.
-            translucent: draw the translucent pass, not the opaque one.
+            program: program of the batch.
+            material: row in ``SceneGeometry.materials`` of the material of all its triangles; -1 = several materials.
+            translucent: draw the translucent pass instead of the opaque pass.
         """
         uniforms = material, translucent
         if program.current == uniforms:
@@ -118,18 +118,18 @@ class Programs:
         if program.translucent >= 0:
             self._gl.glProgramUniform1i(program.number, program.translucent, translucent)
         if material >= 0:
-            row = self._rows + material * MATERIAL.itemsize
+            row = self._materials_address + material * MATERIAL.itemsize
             for location, offset in program.material:
                 self._gl.glProgramUniform4fv(program.number, location, 1, row + offset)
 
     def close(self) -> None:
-        """Frees them; a second call does nothing."""
-        programs, self._made, self._of_batch = self._made, {}, {}
+        """Frees the programs; a second call does nothing."""
+        programs, self._programs, self._of_batch = self._programs, {}, {}
         for program in programs.values():
-            program.made.release()
+            program.handle.release()
 
 
 def _location(program: moderngl.Program, name: str) -> int:
-    """Returns the location of a uniform; -1 = the program has none."""
+    """Returns the location of a uniform; -1 = the program does not have it."""
     member = program.get(name, None)
     return member.location if isinstance(member, moderngl.Uniform) else -1

@@ -1,6 +1,6 @@
-"""Non-pinhole cameras: resamples the image of a distorted pinhole, a fisheye or an equirectangular camera from its pinhole views.
+"""Non-pinhole cameras: resamples the image of a distorted pinhole, fisheye or equirectangular camera from its pinhole views.
 
-The position of each pixel in the views is computed once for a camera, in doubles, and kept as a table on the GPU.
+The position of each pixel in the views is computed once per camera, in double precision, and stored as a table on the GPU.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _NOWHERE = -1.0
 
 
 class Resampler:
-    """Fills images of one camera from its views, drawn into tiles of a source target.
+    """Resamples images of one camera from its views, drawn into tiles of a source target.
 
     Colours are interpolated from four texels in linear light (from sixteen, at four positions in the pixel, if the camera has 4 samples).
-    Labels and normals are those of the nearest texel, which is at most half a pixel away. Depth and flow are extrapolated from the
-    nearest texel along its surface: depth is exact on planes, and within a millimetre on a ball of 1 m in 5 m.
+    Labels and normals are those of the nearest texel, at most half a pixel away. Depth and flow are extrapolated from the nearest texel
+    along its surface: depth is exact on planes, and within a millimetre on a ball of 1 m at a distance of 5 m.
 
     Args:
         context: it must be current in every call.
-        camera: its optics, size and samples.
+        camera: camera whose optics, size and number of samples are used.
         places: (left column, top row) in the source of each of ``views_of(camera)``.
 
     Raises:
@@ -62,7 +62,7 @@ class Resampler:
     def _lookup(
         self, camera: CameraSpec, pixels: NDArray[Any]
     ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-        """As ``pinhole_views.lookup``, but positions are in the source, with texel centres at halves as in OpenGL."""
+        """Returns ``pinhole_views.lookup`` with positions in the source, in OpenGL's convention: texel centres at half-integers."""
         number, place, scale = lookup(camera, self._views, pixels)
         corners = np.array(self._places, dtype=np.float64)
         place = np.where(number[..., None] >= 0, place + corners[number] + 0.5, _NOWHERE)
@@ -72,18 +72,18 @@ class Resampler:
         """Fills the camera's rectangle of ``out``, with all of its features; the source must have them too.
 
         Args:
-            source: the views at their places, one sample a pixel; normals in the optical frame of each view, flow in its pixels.
+            source: target with the views at their places, one sample per pixel; normals in each view's optical frame, flow in its pixels.
             out: a target other than the source.
             x: left column of the image in ``out``.
-            y: top row.
+            y: top row of the image in ``out``.
 
         Raises:
-            RenderError: closed.
+            RenderError: the resampler is closed.
         """
         if self._map is None:
-            raise RenderError("the resampler is closed; make a new one")
+            raise RenderError("the resampler is closed; create a new one")
         assert source.samples == 1 and out is not source
-        # Sorted, so that targets with equal features share a pass.
+        # In a fixed order, so that targets with equal features share a pass.
         features = tuple(f for f in FEATURES if f in out.features)
         tables = [self._map.glo] if self._taps is None else [self._map.glo, self._taps.glo]
         textures = [*tables, *(source.textures[name] for name in ("color", "depth", *features))]
@@ -93,7 +93,7 @@ class Resampler:
         self._gl.glDisable(GL.SCISSOR_TEST)
 
     def _pass(self, features: tuple[Feature, ...]) -> ScreenPass:
-        """Returns the pass that fills these outputs, made at its first use."""
+        """Returns the pass for the given features, compiled at first use."""
         if features not in self._passes:
             taps = self._taps is not None
             samplers = ["u_map", *(["u_taps"] if taps else []), "u_color", "u_depth", *(f"u_{f.lower()}" for f in features)]
@@ -102,7 +102,7 @@ class Resampler:
         return self._passes[features]
 
     def close(self) -> None:
-        """Frees it; a second call does nothing. The context must be current."""
+        """Frees the GPU resources; a second call does nothing. The context must be current."""
         passes, self._passes = self._passes, {}
         for screen_pass in passes.values():
             screen_pass.close()
@@ -113,7 +113,7 @@ class Resampler:
 
 
 def _uniforms(camera: CameraSpec, views: Sequence[PinholeView], places: Sequence[tuple[int, int]]) -> dict[str, Any]:
-    """Returns the uniforms that rotate normals and project flow, matrices by columns."""
+    """Returns the uniforms for rotating normals and projecting flow; matrices are column-major."""
     rays = []
     for view, (x, y) in zip(views, places, strict=True):
         from_source = np.array([[1.0, 0.0, -x - 0.5], [0.0, 1.0, -y - 0.5], [0.0, 0.0, 1.0]])

@@ -1,6 +1,6 @@
-"""The geometry and textures of a scene in GPU memory, and how they grow and shrink when the scene changes.
+"""Geometry and textures of a scene in GPU memory, updated incrementally when the scene changes.
 
-``SceneMemory`` owns the buffers, vertex arrays and textures; ``upload_texture_with_mip_levels`` makes one texture with its mip levels.
+``SceneMemory`` owns the buffers, vertex arrays and textures; ``upload_texture_with_mip_levels`` creates one texture with its mip levels.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from gibson_sim.render.context import gl as GL
 Pixels = NDArray[np.uint8]
 
 _VERTEX_ATTRIBUTES = (
-    # location, numbers, type, normalised (None = stays integer), field of VERTEX
+    # location, number of components, type, normalised (None = integer attribute), field of VERTEX
     (0, 3, GL.FLOAT, 0, "position"),
     (1, 3, GL.SHORT, 1, "normal"),
     (2, 1, GL.UNSIGNED_SHORT, None, "material"),
     (3, 2, GL.FLOAT, 0, "uv"),
     (4, 1, GL.UNSIGNED_INT, None, "label"),
-    (8, 4, GL.UNSIGNED_SHORT, 1, "uv"),  # vertices with colours have them instead of texture coordinates
+    (8, 4, GL.UNSIGNED_SHORT, 1, "uv"),  # vertices with colours store them instead of texture coordinates
 )
 _PLACEMENT_ATTRIBUTES = ((5, "link"), (6, "label"), (7, "material"))
-"""Location and field of ``PLACEMENT``: the same for a whole draw."""
+"""Location and field of ``PLACEMENT`` of the per-instance attributes."""
 _ALPHA = (np.arange(256) / 255.0).astype(np.float32)
 _LINEAR = linear_from_srgb(_ALPHA)
-"""(256,), linear light of each sRGB byte."""
+"""(256,), linear value of each sRGB byte."""
 
 
 class SceneMemory:
-    """Buffers and textures; the context must be current in every call.
+    """Buffers, vertex arrays and textures of a scene; the context must be current in every call.
 
     Args:
-        gl: of the context.
-        compress: keep textures compressed.
+        gl: OpenGL functions of the context.
+        compress: store textures compressed.
     """
 
     def __init__(self, gl: GL.Gl, *, compress: bool) -> None:
@@ -49,19 +49,19 @@ class SceneMemory:
         self._sizes: dict[int, int] = {}
         self._texture_of: dict[int, tuple[int, int]] = {}
         self.textures: list[int] = []
-        """In the order of ``SceneGeometry.textures``."""
+        """OpenGL names, in the order of ``SceneGeometry.textures``."""
         self._arrays: list[int] = []
         self._vertices, self._indices, self._occluders, self._sorted, self._placements = (self._buffer() for _ in range(5))
         self.materials, self.appearances = self._buffer(), self._buffer()
         self.array = self._array(self._indices)
-        """The vertex array that draws read."""
+        """Vertex array with the indices of the geometry."""
         self.occluder_array = self._array(self._occluders)
-        """The same with the indices of ``Occluders``."""
+        """Vertex array with the indices of ``Occluders``."""
         self.sorted_array = self._array(self._sorted)
-        """The same with indices that are sorted for each picture."""
+        """Vertex array with the indices sorted for each picture."""
 
     def _array(self, indices: int) -> int:
-        """Returns a vertex array over the vertices, with the buffer ``indices``."""
+        """Creates a vertex array over the vertices, with the index buffer ``indices``."""
         gl = self._gl
         array = gl.create("glCreateVertexArrays")
         self._arrays.append(array)
@@ -88,9 +88,9 @@ class SceneMemory:
         """Uploads a geometry.
 
         Args:
-            geometry: what is drawn from now on.
-            same_vertices: number of its leading vertices that are uploaded already.
-            same_indices: likewise.
+            geometry: new geometry.
+            same_vertices: number of its leading vertices that are already uploaded.
+            same_indices: number of its leading indices that are already uploaded.
         """
         self._fill(self._vertices, geometry.vertices if len(geometry.vertices) else np.zeros(1, VERTEX), same_vertices)
         self._fill(self._indices, geometry.indices if len(geometry.indices) else np.zeros(1, np.uint32), same_indices)
@@ -105,7 +105,7 @@ class SceneMemory:
         self._fill(self._occluders, indices if len(indices) else np.zeros(1, np.uint32))
 
     def load_sorted(self, indices: NDArray[np.uint32]) -> None:
-        """Uploads the indices of translucent triangles, sorted for the next pictures."""
+        """Uploads the indices of translucent triangles sorted for the next pictures."""
         self._gl.glNamedBufferData(self._sorted, indices.nbytes, indices.ctypes.data, GL.STREAM_DRAW)
 
     def _buffer(self) -> int:
@@ -114,7 +114,7 @@ class SceneMemory:
         return buffer
 
     def _fill(self, buffer: int, data: NDArray[Any], same: int = 0) -> None:
-        """Writes rows into a buffer that has the first ``same`` of them already; one that must grow gets spare room."""
+        """Writes rows into a buffer that already has the first ``same`` rows; a buffer that grows gets spare capacity."""
         gl, data = self._gl, np.ascontiguousarray(data)
         if data.nbytes > self._sizes[buffer]:
             size = data.nbytes if not self._sizes[buffer] else data.nbytes * 3 // 2
@@ -125,10 +125,10 @@ class SceneMemory:
             gl.glNamedBufferSubData(buffer, same * data.itemsize, rest.nbytes, rest.ctypes.data)
 
     def _load_textures(self, sources: Sequence[TextureSource]) -> None:
-        """Makes the textures that are missing and frees those that are no longer needed."""
+        """Creates missing textures and frees unused ones."""
         needed = {id(source): source for source in sources}
-        for gone in [key for key in self._texture_of if key not in needed]:
-            self._gl.delete("glDeleteTextures", self._texture_of.pop(gone)[0])
+        for unused in [key for key in self._texture_of if key not in needed]:
+            self._gl.delete("glDeleteTextures", self._texture_of.pop(unused)[0])
         for key, source in needed.items():
             if key not in self._texture_of:
                 self._texture_of[key] = upload_texture_with_mip_levels(self._gl, source.pixels, compress=self._compress)
@@ -136,11 +136,11 @@ class SceneMemory:
 
     @property
     def texture_bytes(self) -> int:
-        """GPU memory of the textures of materials."""
+        """GPU memory of the textures of materials, bytes."""
         return sum(size for _, size in self._texture_of.values())
 
     def close(self) -> None:
-        """Frees everything; a second call does nothing."""
+        """Frees all GPU resources; a second call does nothing."""
         textures, buffers = list(self._texture_of.values()), list(self._sizes)
         self._texture_of, self._sizes, self.textures = {}, {}, []
         for texture, _ in textures:
@@ -152,33 +152,34 @@ class SceneMemory:
 
 
 def upload_texture_with_mip_levels(gl: GL.Gl, pixels: Pixels, *, compress: bool) -> tuple[int, int]:
-    """Returns a texture with mip levels, and its size in bytes.
+    """Creates a texture with mip levels and returns it with its size in bytes.
 
     Args:
-        gl: the context must be current.
-        pixels: (H, W, 3) or (H, W, 4) uint8, sRGB, row 0 = top, at t = 0: v counts downwards, as in MeshPart. They are scaled down if
-            the driver cannot hold them.
-        compress: keep it compressed.
+        gl: OpenGL functions; the context must be current.
+        pixels: (H, W, 3) or (H, W, 4) uint8, sRGB, row 0 = top, at t = 0: v points down, as in MeshPart. Scaled down if larger than the
+            driver's limit.
+        compress: store the texture compressed.
     """
-    pixels = _fitting(pixels, gl.integer(GL.MAX_TEXTURE_SIZE))
+    pixels = _fit(pixels, gl.integer(GL.MAX_TEXTURE_SIZE))
     texture = gl.create("glCreateTextures", GL.TEXTURE_2D)
     gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
-    size = _compressed(gl, texture, pixels) if compress else _plain(gl, texture, pixels)
+    size = _upload_compressed(gl, texture, pixels) if compress else _upload_uncompressed(gl, texture, pixels)
     gl.glTextureParameteri(texture, GL.TEXTURE_MIN_FILTER, GL.LINEAR_MIPMAP_LINEAR)
     gl.glTextureParameteri(texture, GL.TEXTURE_MAG_FILTER, GL.LINEAR)
     return texture, size
 
 
-def _fitting(pixels: Pixels, limit: int) -> Pixels:
+def _fit(pixels: Pixels, limit: int) -> Pixels:
+    """Returns pixels scaled down to at most ``limit`` per side."""
     height, width = pixels.shape[:2]
-    shrink = limit / max(height, width)
-    if shrink < 1.0:
-        size = (max(1, int(width * shrink)), max(1, int(height * shrink)))
+    scale = limit / max(height, width)
+    if scale < 1.0:
+        size = (max(1, int(width * scale)), max(1, int(height * scale)))
         pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return np.ascontiguousarray(pixels)
 
 
-def _plain(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
+def _upload_uncompressed(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
     height, width = pixels.shape[:2]
     gl.glTextureStorage2D(texture, max(width, height).bit_length(), GL.SRGB8_ALPHA8, width, height)
     gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, _format(pixels), GL.UNSIGNED_BYTE, pixels.ctypes.data)
@@ -187,8 +188,8 @@ def _plain(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
     return size
 
 
-def _compressed(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
-    """Lets the driver compress each mip level; it generates none for compressed textures, so they are made here, in linear light."""
+def _upload_compressed(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
+    """Uploads mip levels computed in linear light, which the driver compresses; drivers do not generate mip levels of compressed textures."""
     kind = GL.COMPRESSED_SRGB_S3TC_DXT1 if pixels.shape[2] == 3 else GL.COMPRESSED_SRGB_ALPHA_S3TC_DXT5
     gl.glBindTexture(GL.TEXTURE_2D, texture)
     total, level, size = 0, 0, ctypes.c_int(0)
@@ -199,7 +200,7 @@ def _compressed(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
         total += size.value
         if max(width, height) == 1:
             return total
-        pixels = _halved(pixels)
+        pixels = _next_mip_level(pixels)
         level += 1
 
 
@@ -207,8 +208,8 @@ def _format(pixels: Pixels) -> int:
     return GL.RGB if pixels.shape[2] == 3 else GL.RGBA
 
 
-def _halved(pixels: Pixels) -> Pixels:
-    """Returns the next mip level."""
+def _next_mip_level(pixels: Pixels) -> Pixels:
+    """Returns the pixels at half the size, averaged in linear light."""
     height, width = pixels.shape[:2]
     linear = cv2.LUT(pixels, np.stack([_LINEAR] * 3 + [_ALPHA], axis=-1)[None, :, : pixels.shape[2]])
     smaller = cv2.resize(linear, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA)

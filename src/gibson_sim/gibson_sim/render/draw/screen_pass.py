@@ -1,4 +1,4 @@
-"""Full-screen passes: a fragment shader that is run for each pixel of a target, so that images are processed on the GPU."""
+"""Full-screen passes: run a fragment shader for each pixel of a target, to process images on the GPU."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ void main() {
 """Vertex shader of one triangle that covers the whole target."""
 
 
-def shader_text(name: str, defines: Sequence[str] = (), before: Sequence[str] = ()) -> str:
-    """Returns the source of a shader in ``render/shaders``, with a version line, ``#define``s and the files to include ``before`` it."""
+def shader_text(name: str, defines: Sequence[str] = (), includes: Sequence[str] = ()) -> str:
+    """Returns the source of a shader in ``render/shaders``, preceded by a version line, ``#define``s and the files ``includes``."""
     folder = files("gibson_sim.render").joinpath("shaders")
-    text = "".join(folder.joinpath(file).read_text(encoding="utf-8") for file in (*before, name))
+    text = "".join(folder.joinpath(file).read_text(encoding="utf-8") for file in (*includes, name))
     return "#version 450 core\n" + "".join(f"#define {d}\n" for d in defines) + text
 
 
@@ -33,9 +33,9 @@ class ScreenPass:
 
     Args:
         context: it must be current in every call.
-        fragment: file in ``render/shaders``; its outputs have the locations of the target's attachments.
+        fragment: file in ``render/shaders`` whose outputs have the locations of the target's attachments.
         samplers: names of its samplers, for the texture units 0, 1, ...
-        defines: names, or ``NAME value``, for the preprocessor.
+        defines: preprocessor macros, ``NAME`` or ``NAME value``.
     """
 
     def __init__(self, context: GlContext, fragment: str, samplers: Sequence[str], defines: Sequence[str] = ()) -> None:
@@ -46,19 +46,19 @@ class ScreenPass:
         self._array = context.gl.vertex_array(self._program, [])
         self._samplers = tuple(samplers)
         for unit, name in enumerate(samplers):
-            if name in self._program:  # the compiler removes unused ones
+            if name in self._program:  # the compiler removes unused uniforms
                 self._program[name] = unit
 
     def run(self, target: RenderTarget, textures: Sequence[int], uniforms: Mapping[str, Any] = {}) -> None:
         """Fills all of ``target``.
 
         Args:
-            target: what to fill; it must not hold one of the textures.
+            target: target to fill; none of the textures may belong to it.
             textures: OpenGL names, one for each sampler.
-            uniforms: values by name: numbers, tuples, or float32 arrays, matrices by columns.
+            uniforms: values by name: numbers, tuples, or float32 arrays; matrices are column-major.
         """
         if self._program is None:
-            raise RenderError("the screen pass is closed; make a new one")
+            raise RenderError("the screen pass is closed; create a new one")
         assert len(textures) == len(self._samplers)
         for name, value in uniforms.items():
             if name not in self._program:
@@ -84,7 +84,7 @@ class ScreenPass:
         gl.glDrawArrays(GL.TRIANGLES, 0, 3)
 
     def close(self) -> None:
-        """Frees it; a second call does nothing. The context must be current."""
+        """Frees the GPU resources; a second call does nothing. The context must be current."""
         if self._program is not None:
             self._array.release()
             self._program.release()

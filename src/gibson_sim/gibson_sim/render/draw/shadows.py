@@ -1,4 +1,4 @@
-"""Shadows of the sun: one shadow map of the scene, drawn again only after something has moved."""
+"""Shadows of the sun: one shadow map of the scene, redrawn only after geometry has moved."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ SHADOW_PX = 2048
 _UNIT = 6
 """Texture unit."""
 _STEP = 1.0 / 4.0
-"""The logarithm, base 2, of the side in metres is rounded up to a multiple of this: what moves at the scene's edge rarely moves all texels."""
+"""Step to which log2 of the map's side in metres is rounded up, so that motion at the scene's edge rarely shifts all texels."""
 F64 = NDArray[np.float64]
 
 
 class ShadowCasters(Protocol):
-    """What casts shadows: a ``GlScene``."""
+    """Geometry that casts shadows: a ``GlScene``."""
 
     def bounds(self, T_world_links: F64) -> F64:
         """Returns the bounding box of the scene, (2, 3), world frame, metres."""
@@ -30,18 +30,21 @@ class ShadowCasters(Protocol):
         """Returns whether any geometry belongs to a link."""
 
     def draw_depth(self, clip_from_world: Mat4, T_world_links: F64, texel: float, *, static: bool, moving: bool) -> None:
-        """Draws the opaque pass into the depth buffer that is bound."""
+        """Draws the opaque pass into the bound depth buffer."""
 
 
 def fit_sun(bounds: F64, to_sun: F64, size: int = SHADOW_PX) -> tuple[Mat4, float]:
-    """Returns the sun's projection of a box: clip_from_world (4, 4), x and y in [-1, 1], depth in [0, 1] and 1 nearest; and metres a texel.
+    """Fits the sun's orthographic projection to a box.
 
-    The axes of the map depend on the sun alone and its offset is a multiple of its texels, so texels stay where they are while the box grows.
+    The axes of the map depend only on the sun and its offset is a multiple of a texel, so texels keep their positions while the box grows.
 
     Args:
-        bounds: (2, 3), smallest and largest corner, metres.
-        to_sun: (3,) unit vector.
-        size: texels along a side.
+        bounds: (2, 3), minimum and maximum corner, world frame, metres.
+        to_sun: (3,), unit vector towards the sun.
+        size: side of the map, texels.
+
+    Returns:
+        clip_from_world, (4, 4), with x and y in [-1, 1] and depth in [0, 1], 1 = nearest to the sun; and the size of a texel, metres.
     """
     z = np.asarray(to_sun, dtype=np.float64)
     x = np.cross((0.0, 0.0, 1.0) if abs(z[2]) < 0.99 else (1.0, 0.0, 0.0), z)
@@ -51,7 +54,7 @@ def fit_sun(bounds: F64, to_sun: F64, size: int = SHADOW_PX) -> tuple[Mat4, floa
         np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) @ R_sun_world.T
     )
     low, high = corners.min(axis=0), corners.max(axis=0)
-    # A border of three texels, so that the filter never leaves the map where there is geometry.
+    # A border of three texels, so that filtering of shadows on geometry never leaves the map.
     side = max(float((high - low)[:2].max()), 1e-3) * size / (size - 6)
     side = 2.0 ** (np.ceil(np.log2(side) / _STEP) * _STEP)
     texel = side / size
@@ -70,39 +73,40 @@ class SunShadow:
 
     Args:
         context: it must be current in every call.
-        to_sun: (3,), towards the sun, world frame.
-        size: texels along a side.
+        to_sun: (3,), direction towards the sun, world frame.
+        size: side of the map, texels.
     """
 
     def __init__(self, context: GlContext, to_sun: F64, size: int = SHADOW_PX) -> None:
         self._gl = gl = GL.Gl(context)
         self._to_sun = np.asarray(to_sun, dtype=np.float64) / max(float(np.linalg.norm(to_sun)), 1e-12)
         self.size = min(size, gl.integer(GL.MAX_TEXTURE_SIZE))
-        """Texels along a side."""
-        self._seen: bytes = b""
+        """Side of the map, texels."""
+        self._drawn_poses: bytes = b""
         self._fit: Mat4 | None = None
         self.texel = 1.0
-        """Metres."""
+        """Size of a texel, metres."""
         self.drawn = 0
-        """How often the map was drawn."""
-        # Static geometry has a map of its own: moving geometry is drawn over a copy of it.
-        self._still = self._texture()
+        """Number of times the map was drawn."""
+        # Static geometry has a separate map: moving geometry is drawn over a copy of it.
+        self._static = self._texture()
         self._all = self._texture()
-        self._framebuffers = [self._framebuffer(texture) for texture in (self._still, self._all)]
+        self._framebuffers = [self._framebuffer(texture) for texture in (self._static, self._all)]
 
     def update(self, scene: ShadowCasters, T_world_links: F64) -> Mat4:
-        """Draws the map if something has moved; returns shadow_from_world, (4, 4), to texture coordinates and depth, all 0 to 1.
+        """Redraws the map if geometry has moved; changes the framebuffer binding.
 
-        It changes the framebuffer binding.
+        Returns:
+            shadow_from_world, (4, 4), to texture coordinates and depth, all 0 to 1.
         """
         moves = scene.moves()
         fit, texel = self._fit, self.texel
         if fit is None or moves:
             fit, texel = fit_sun(scene.bounds(T_world_links), self._to_sun, self.size)
         refit = self._fit is None or not np.array_equal(fit, self._fit)
-        seen = T_world_links.tobytes() if moves else b"still"
-        if refit or seen != self._seen:
-            self._fit, self.texel, self._seen = fit, texel, seen
+        poses = T_world_links.tobytes() if moves else b"still"
+        if refit or poses != self._drawn_poses:
+            self._fit, self.texel, self._drawn_poses = fit, texel, poses
             self._draw(scene, T_world_links, refit, moves)
         to_unit = np.diag([0.5, 0.5, 1.0, 1.0])
         to_unit[:2, 3] = 0.5
@@ -112,14 +116,14 @@ class SunShadow:
         gl = self._gl
         assert self._fit is not None
         self.drawn += 1
-        still, everything = self._framebuffers
+        static, everything = self._framebuffers
         if refit:
-            self._begin(still if moves else everything)
+            self._begin(static if moves else everything)
             scene.draw_depth(self._fit, T_world_links, self.texel, static=True, moving=False)
         if moves:
             size = self.size
             gl.glCopyImageSubData(
-                self._still, GL.TEXTURE_2D, 0, 0, 0, 0, self._all, GL.TEXTURE_2D, 0, 0, 0, 0, size, size, 1
+                self._static, GL.TEXTURE_2D, 0, 0, 0, 0, self._all, GL.TEXTURE_2D, 0, 0, 0, 0, size, size, 1
             )  # fmt: skip
             self._begin(everything, clear=False)
             scene.draw_depth(self._fit, T_world_links, self.texel, static=False, moving=True)
@@ -163,14 +167,14 @@ class SunShadow:
         status = gl.glCheckNamedFramebufferStatus(framebuffer, GL.FRAMEBUFFER)
         if status != GL.FRAMEBUFFER_COMPLETE:
             raise RenderError(
-                f"the driver cannot draw shadows of {self.size}x{self.size} texels (status 0x{status:x}); turn them off"
+                f"the driver does not support a shadow map of {self.size}x{self.size} texels (status 0x{status:x}); turn shadows off"
             )
         return framebuffer
 
     def close(self) -> None:
-        """Frees it; a second call does nothing."""
+        """Frees the GPU resources; a second call does nothing."""
         framebuffers, self._framebuffers = self._framebuffers, []
         for framebuffer in framebuffers:
             self._gl.delete("glDeleteFramebuffers", framebuffer)
-        for texture in (self._still, self._all) if framebuffers else ():
+        for texture in (self._static, self._all) if framebuffers else ():
             self._gl.delete("glDeleteTextures", texture)

@@ -1,4 +1,4 @@
-"""Motion blur and rolling shutter: draws an image from pictures at several times of its exposure."""
+"""Motion blur and rolling shutter: composes an image from pictures at several times of its exposure."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from gibson_sim.render.draw.target import Feature, RenderTarget
 from gibson_sim.types import CameraSpec, SceneState
 
 Draw = Callable[[RenderTarget, CameraSpec, SceneState], None]
-"""Draws a camera's image of a state into the top left corner of a target, without the effects on colours."""
+"""Draws a camera's image of a state into the top left corner of a target, without colour effects."""
 _MAX_TARGETS = 4
 
 
 class Shutter:
-    """Composes images from ``exposures``.
+    """Composes images from their ``exposures``.
 
     Args:
         context: it must be current in every call.
-        effects: averages the colours.
+        effects: pass that averages colours.
     """
 
     def __init__(self, context: GlContext, effects: EffectsPass) -> None:
@@ -30,27 +30,30 @@ class Shutter:
         self._targets: dict[tuple[int, int, tuple[Feature, ...]], RenderTarget] = {}
 
     def image(self, target: RenderTarget, camera: CameraSpec, plan: Sequence[Exposure], x: int, y: int, draw: Draw) -> bool:
-        """Draws an image into its place in a target; returns whether its colours are in the average of the effects instead.
+        """Draws an image into its rectangle of a target.
 
         Args:
-            target: without multisampling.
-            camera: of the image.
-            plan: its ``exposures``.
+            target: target without multisampling.
+            camera: camera of the image.
+            plan: ``exposures`` of the image.
             x: column of the image's left edge in the target.
             y: row of its top edge.
             draw: draws one picture.
+
+        Returns:
+            Whether the colours are in the average of ``effects`` instead of the target.
         """
         averaged = any(exposure.weight < 1.0 for exposure in plan)
         if averaged:
             self._effects.begin(camera.width, camera.height)
-        # A non-pinhole camera is drawn as a whole each time: a lookup table for each band of rows would take longer.
-        cut = is_plain(camera)
-        height = max(e.rows.stop - e.rows.start for e in plan) if cut else camera.height
+        # Non-pinhole cameras draw the whole image for each exposure: a lookup table for each band of rows would take longer.
+        in_bands = is_plain(camera)
+        height = max(e.rows.stop - e.rows.start for e in plan) if in_bands else camera.height
         for exposure in plan:
             rows = exposure.rows
             picture = self._target(camera.width, height, target.features if exposure.geometry else ())
-            draw(picture, rows_of(camera, rows) if cut else camera, exposure.state)
-            first = 0 if cut else rows.start
+            draw(picture, rows_of(camera, rows) if in_bands else camera, exposure.state)
+            first = 0 if in_bands else rows.start
             if averaged:
                 self._effects.add(picture.textures["color"], rows, exposure.weight, first)
             if exposure.geometry:
@@ -67,14 +70,14 @@ class Shutter:
         return self._targets[key]
 
     def close(self) -> None:
-        """Frees everything; a second call does nothing. The context must be current."""
+        """Frees all GPU resources; a second call does nothing. The context must be current."""
         targets, self._targets = self._targets, {}
         for target in targets.values():
             target.close()
 
 
 def rows_of(camera: CameraSpec, rows: slice) -> CameraSpec:
-    """Returns the camera that sees some rows of a pinhole's image, pixel by pixel."""
+    """Returns the camera whose image consists of the given rows of a pinhole camera's image."""
     k = camera.intrinsics()
     k[1, 2] -= rows.start
     return replace(camera, height=rows.stop - rows.start, matrix=tuple(float(n) for n in k.ravel()))

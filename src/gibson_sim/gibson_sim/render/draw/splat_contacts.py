@@ -1,7 +1,7 @@
-"""Darkens splats beside what moves: without it, a robot seems to float over a floor that splats show.
+"""Ambient occlusion of splats by moving links: without it, a robot seems to float over a floor of splats.
 
-Rooms are mostly lit from all around, and less of that light reaches the floor below a robot. What moves is taken as the box of each link, with
-round upright edges, so that the darkening does not depend on what a camera sees of the link.
+Rooms are mostly lit by ambient light, less of which reaches the floor below a robot. Each moving link is approximated by its box with
+rounded upright edges, so that the occlusion does not depend on the part of the link that a camera sees.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from gibson_sim.render.draw.screen_pass import FULL_SCREEN, shader_text
 
 F64 = NDArray[np.float64]
 REACH_M = 0.25
-"""Distance from a box at which nothing is darker, metres."""
+"""Distance from a box beyond which there is no occlusion, metres."""
 DARKEST = 0.6
-"""Share of the light that is taken away where a box touches a surface."""
+"""Fraction of the light that is occluded where a box touches a surface."""
 _ROUND = 0.7
-"""Radius of the upright edges of a box, relative to the shorter horizontal half extent: most robots are round or have round corners."""
+"""Radius of the upright edges of a box, relative to the shorter horizontal half extent: most robots are round or have rounded corners."""
 _MOST_BOXES = 128
-"""Boxes of a picture, the nearest ones."""
+"""Maximum number of boxes of a picture; the nearest ones are used."""
 _BOX = np.dtype([("box_from_optical", "<f4", (4, 4)), ("half_size", "<f4", 4)])
-"""``Box`` of splat_contact.frag, the matrix by columns."""
+"""Memory layout of ``Box`` in splat_contact.frag; the matrix is column-major."""
 _ZERO, _SRC_COLOR = 0, 0x0300
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
 
@@ -50,11 +50,11 @@ class SplatContacts:
 
         Args:
             T_world_links: (L + 1, 4, 4), the world first.
-            link_boxes: (L', 6), centre and half extents of the box of each link in its frame, the world first, metres; 0 = it has none.
-            pictures: in the target.
-            textures: the depth of all surfaces, and the depth that hides splats.
-            framebuffer: of the splats' colours.
-            bind: sets the viewport and the uniforms of a picture with a number. A vertex array without attributes must be bound.
+            link_boxes: (L', 6), centre and half extents of the box of each link in its frame, the world first, metres; 0 = no box.
+            pictures: pictures in the target.
+            textures: depth textures of all surfaces and of the occluders of splats.
+            framebuffer: framebuffer of the splats' colours.
+            bind: sets the viewport and the uniforms of a picture, given with its index. A vertex array without attributes must be bound.
         """
         gl, moving = self._gl, 1 + np.flatnonzero(link_boxes[1 : len(T_world_links), 3:].any(axis=1))
         if not len(moving):
@@ -62,10 +62,10 @@ class SplatContacts:
         T_world_boxes = T_world_links[moving].copy()
         T_world_boxes[:, :3, 3] += np.einsum("nij,nj->ni", T_world_boxes[:, :3, :3], link_boxes[moving, :3])
         T_world_boxes, half = upright(T_world_boxes, link_boxes[moving, 3:])
-        seen = [
-            (k, *found) for k, picture in enumerate(pictures) if (found := boxes_in(picture, T_world_boxes, half)) is not None
+        affected = [
+            (k, *boxes) for k, picture in enumerate(pictures) if (boxes := boxes_in(picture, T_world_boxes, half)) is not None
         ]
-        if not seen:
+        if not affected:
             return
         gl.glBindFramebuffer(GL.FRAMEBUFFER, framebuffer)
         gl.glDisable(GL.DEPTH_TEST)
@@ -75,10 +75,10 @@ class SplatContacts:
         for unit, texture in enumerate(textures):
             gl.glBindSampler(unit, 0)
             gl.glBindTextureUnit(unit, texture)
-        for number, boxes, (left, top, width, height) in seen:
-            gl.glNamedBufferData(self._buffer, boxes.nbytes, boxes.ctypes.data, GL.STREAM_DRAW)
+        for number, rows, (left, top, width, height) in affected:
+            gl.glNamedBufferData(self._buffer, rows.nbytes, rows.ctypes.data, GL.STREAM_DRAW)
             gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, 0, self._buffer)
-            self._program["u_boxes"] = len(boxes)
+            self._program["u_boxes"] = len(rows)
             gl.glUseProgram(self._program.glo)
             bind(pictures[number], number)
             gl.glScissor(left, top, width, height)
@@ -86,36 +86,39 @@ class SplatContacts:
         gl.glDisable(GL.SCISSOR_TEST)
 
     def close(self) -> None:
-        """Frees everything."""
+        """Frees all GPU resources."""
         self._program.release()
         self._gl.delete("glDeleteBuffers", self._buffer)
 
 
 def upright(T_world_boxes: F64, half: F64) -> tuple[F64, F64]:
-    """Returns the same boxes, (N, 4, 4) and half extents (N, 3), with their most upright axis last."""
+    """Permutes the axes of boxes, (N, 4, 4) with half extents (N, 3), so that the most upright axis is z."""
     last = np.abs(T_world_boxes[:, 2, :3]).argmax(axis=1)
     order = (last[:, None] + (1, 2, 3)) % 3
-    turned = T_world_boxes.copy()
-    turned[:, :3, :3] = np.take_along_axis(T_world_boxes[:, :3, :3], order[:, None], axis=2)
-    return turned, np.take_along_axis(half, order, axis=1)
+    permuted = T_world_boxes.copy()
+    permuted[:, :3, :3] = np.take_along_axis(T_world_boxes[:, :3, :3], order[:, None], axis=2)
+    return permuted, np.take_along_axis(half, order, axis=1)
 
 
 def boxes_in(
     picture: PinholePicture, T_world_boxes: F64, half: F64
 ) -> tuple[NDArray[np.void], tuple[int, int, int, int]] | None:  # fmt: skip
-    """Returns the boxes that may darken a picture, and the rectangle in which they do: left, top, width, height, pixels of the target.
+    """Returns the boxes that may darken a picture, and the affected rectangle of the target, pixels: left, top, width, height.
 
     Args:
         picture: the picture.
-        T_world_boxes: (N, 4, 4), of their middles.
+        T_world_boxes: (N, 4, 4), poses of the boxes' centres.
         half: (N, 3), half extents, metres.
+
+    Returns:
+        (M,) of ``_BOX`` and the rectangle; None if no box affects the picture.
     """
     T_camera_boxes: F64 = invert(picture.T_world_camera) @ T_world_boxes
     reach = _CORNERS * (half[:, None] + REACH_M)
     corners = np.einsum("nij,nkj->nki", T_camera_boxes[:, :3, :3], reach) + T_camera_boxes[:, None, :3, 3]
     k, size = picture.intrinsics, np.array([picture.width, picture.height])
     low, high = np.zeros((len(half), 2)), np.tile(size.astype(np.float64), (len(half), 1))
-    # A box that reaches behind the eye may be anywhere in the picture.
+    # A box that extends behind the eye may cover any part of the picture.
     ahead = corners[:, :, 2].min(axis=1) > picture.near
     pixels = corners[ahead] @ k.T
     pixels = pixels[:, :, :2] / pixels[:, :, 2:]

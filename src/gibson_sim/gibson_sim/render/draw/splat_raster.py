@@ -1,6 +1,7 @@
-"""Compiled loops that blend projected splats on a CPU, tile by tile from near to far, as the code of Kerbl et al. 2023 does on a GPU.
+"""Compiled loops that blend projected splats on the CPU, tile by tile from near to far, as the code of Kerbl et al. 2023 does on a GPU.
 
-A software OpenGL blends from far to near and shades every pixel of every splat; here a row of a tile ends where it is covered. No OpenGL.
+A software OpenGL renderer blends from far to near and shades every pixel of every splat; these loops skip rows of a tile that are already
+opaque. No OpenGL.
 """
 
 from __future__ import annotations
@@ -15,33 +16,33 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 TILE = 16
-"""Side of a tile, pixels; a row of it fills the registers of common processors twice."""
+"""Side of a tile, pixels; a row fills two SIMD registers of common processors."""
 COLUMNS = 16
-"""Numbers of a projected splat, ``Projected`` of shaders/splats.comp."""
+"""Number of floats of a projected splat, ``Projected`` of shaders/splats.comp."""
 _LEAST, _MOST = np.float32(1.0 / 255.0), np.float32(0.99)
 _COVERED = np.float32(1.0 / 1024.0)
-"""Share of what is behind that is left, below which a pixel is covered."""
+"""Transmittance below which a pixel counts as opaque."""
 _FADED = np.float32(-5.545)
-"""Exponent at which an opaque splat is below ``_LEAST``."""
+"""Exponent at which the opacity of an opaque splat is below ``_LEAST``."""
 _MIDDLE, _AT_MIDDLE = np.float32(0.3466), np.float32(np.exp(-0.3466))
-"""The exponential is a polynomial about minus this, of an eighth of the exponent, to the eighth power."""
+"""Negated expansion point, and the exponential there: exp(x) is a Taylor polynomial of x / 8 about ``-_MIDDLE``, to the eighth power."""
 _ONE, _TWO, _HALF, _EIGHTH, _BYTE = (np.float32(x) for x in (1.0, 2.0, 0.5, 0.125, 255.0))
 _THIRD, _FOURTH, _FIFTH = (np.float32(1.0 / x) for x in (6.0, 24.0, 120.0))
 
 
 @compiled
 def place_in_tiles(projected: F32, width: int, height: int) -> tuple[F32, I64, I32]:
-    """Returns the splats in pixels, and those of each tile.
+    """Converts splats to pixels and sorts them into tiles.
 
     Args:
         projected: (N, COLUMNS), from far to near.
-        width: of the picture, pixels.
-        height: likewise.
+        width: width of the picture, pixels.
+        height: height of the picture, pixels.
 
     Returns:
-        For each splat, nearest first, (N, 14): centre, the inverse of its Cholesky factor (3), ``near / depth`` and its slopes (2), colour,
-        opacity, square of its extent in standard deviations, and its extent in rows. Position in the third array of the first splat of each
-        tile, row by row of tiles, and one more, (T + 1,). The splats of all tiles, nearest first.
+        Splats, nearest first, (N, 14): centre, inverse of the Cholesky factor (3), ``near / depth`` and its slopes (2), colour, opacity,
+        square of the extent in standard deviations, and extent in rows. Start of each tile in the third array, tiles row by row, and the
+        end of the last, (T + 1,). Indices of the splats of all tiles, nearest first within a tile.
     """
     count, columns = len(projected), (width + TILE - 1) // TILE
     tiles = columns * ((height + TILE - 1) // TILE)
@@ -71,28 +72,28 @@ def place_in_tiles(projected: F32, width: int, height: int) -> tuple[F32, I64, I
         splats[k, 12], splats[k, 13] = extent * extent, down
     for tile in range(tiles):
         starts[tile + 1] += starts[tile]
-    at, listed = starts[:-1].copy(), np.empty(starts[tiles], np.int32)
+    cursor, listed = starts[:-1].copy(), np.empty(starts[tiles], np.int32)
     for k in range(count):
         for row in range(bounds[k, 2], bounds[k, 3] + 1):
             for column in range(bounds[k, 0], bounds[k, 1] + 1):
                 tile = row * columns + column
-                listed[at[tile]] = k
-                at[tile] += 1
+                listed[cursor[tile]] = k
+                cursor[tile] += 1
     return splats, starts, listed
 
 
 @compiled
 def blend_tiles(splats: F32, starts: I64, listed: I32, depth: F32, out: F32, first: int, step: int) -> None:
-    """Blends the splats of every ``step``-th tile from the ``first`` one on.
+    """Blends the splats of every ``step``-th tile, beginning with tile ``first``.
 
     Args:
-        splats: as ``place_in_tiles`` returns them, like the next two.
-        starts: likewise.
-        listed: likewise.
-        depth: (H, W), ``near / depth`` of what hides splats.
-        out: (H, W, 4), is filled with premultiplied sRGB colours and opacities.
-        first: number of a tile.
-        step: of these numbers.
+        splats: first result of ``place_in_tiles``.
+        starts: its second result.
+        listed: its third result.
+        depth: (H, W), ``near / depth`` of the occluders of splats.
+        out: (H, W, 4), receives premultiplied sRGB colours and opacities.
+        first: index of the first tile.
+        step: increment of the tile index.
     """
     height, width = depth.shape
     columns = (width + TILE - 1) // TILE
@@ -106,7 +107,7 @@ def blend_tiles(splats: F32, starts: I64, listed: I32, depth: F32, out: F32, fir
             open_rows[y] = y < rows
             for x in range(TILE):
                 left[y, x], red[y, x], green[y, x], blue[y, x] = _ONE, np.float32(0.0), np.float32(0.0), np.float32(0.0)
-                # Nothing is nearer than this: what is beyond the edge is never drawn.
+                # Beyond the edge of the image the occluder is infinitely near, so that nothing is drawn.
                 nearest[y, x] = depth[y0 + y, x0 + x] if y < rows and x < wide else np.float32(np.inf)
         for x in range(TILE):
             u[x] = np.float32(x0 + x)
@@ -131,12 +132,12 @@ def blend_tiles(splats: F32, starts: I64, listed: I32, depth: F32, out: F32, fir
                     e *= e
                     e *= e
                     alpha = min(opacity * e, _MOST)
-                    seen = (alpha >= _LEAST) & (at_centre + along_x * p + along_y * q > row_near[x])
-                    share = row_left[x] * (alpha if seen else np.float32(0.0))
-                    row_red[x] += share * r
-                    row_green[x] += share * g
-                    row_blue[x] += share * b
-                    rest = row_left[x] - share
+                    visible = (alpha >= _LEAST) & (at_centre + along_x * p + along_y * q > row_near[x])
+                    weight = row_left[x] * (alpha if visible else np.float32(0.0))
+                    row_red[x] += weight * r
+                    row_green[x] += weight * g
+                    row_blue[x] += weight * b
+                    rest = row_left[x] - weight
                     row_left[x] = rest
                     uncovered += rest > _COVERED
                 if not uncovered:

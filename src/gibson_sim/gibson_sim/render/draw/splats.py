@@ -1,9 +1,9 @@
 """Draws Gaussian splats over pictures of the mesh.
 
-After a picture of the mesh is drawn: its depth, moved back a little, is what hides splats; the depth of moving bodies is taken as it is. What
-may be seen is sorted on the CPU, projected on the GPU, and blended into a picture of its own in single floats, which is then put over that of
-the mesh: from far to near by OpenGL, or, where OpenGL draws in software, by the loops of ``splat_raster`` in less than half the time. All
-blending is done in sRGB, as splats are trained. Only colours change.
+The depth of the mesh, moved back a little, and the unchanged depth of moving bodies occlude splats. Potentially visible splats are sorted
+on the CPU, projected on the GPU, and blended into a separate layer in single precision, which is then composited over the picture of the
+mesh. OpenGL blends from far to near; with a software renderer the loops of ``splat_raster`` do it in less than half the time. All blending
+is done in sRGB, as in training. Only colours change.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from gibson_sim.render.draw.target import RenderTarget
 
 F32 = NDArray[np.float32]
 TOLERANCE_M = 0.06
-"""Distance behind the mesh, along its normal, at which splats are hidden."""
+"""Distance behind the mesh, along its normal, beyond which splats are hidden, metres."""
 _FARTHEST_M = 0.5
-"""Largest distance along the ray of that."""
+"""Upper limit of that distance measured along the ray, metres."""
 _SPLAT_VIEW = np.dtype(
     [
         ("optical", "<f4", (4, 4)), ("eye", "<f4", 4), ("lens", "<f4", 4), ("limits", "<f4", 4), ("place", "<f4", 4),
         ("file", "<f4", (3, 4)), ("first", "<u4"), ("count", "<u4"), ("skew", "<f4"), ("pad", "<f4", 17),
     ]
 )  # fmt: skip
-"""Uniform block ``SplatView``, matrices by columns, padded to the alignment of uniform buffers."""
+"""Uniform block ``SplatView``, column-major matrices, padded to the alignment of uniform buffers."""
 _VIEW_BINDING = 1
 _PROJECTED_BYTES = 64
 _GROUP = 64
@@ -53,9 +53,9 @@ class SplatPass:
 
     Args:
         context: it must be current in every call.
-        splats: in the frame of their file.
+        splats: splats in the frame of their file.
         T_world_file: (4, 4), a rigid transform times a scale.
-        cull: leave out what is outside the picture or hidden; off only to check that nothing else changes.
+        cull: frustum and occlusion culling; False only to verify that culling changes no image.
     """
 
     def __init__(self, context: GlContext, splats: Splats, T_world_file: Mat4, *, cull: bool = True) -> None:
@@ -71,14 +71,14 @@ class SplatPass:
         self._buffers: list[int] = []
         self._arrays: list[int] = []
         self.drawn = 0
-        """Number of splats that were drawn last."""
+        """Number of splats drawn by the last call of ``draw``."""
         try:
-            self._make(splats.degree)
+            self._create(splats.degree)
         except BaseException:
             self.close()
             raise
 
-    def _make(self, degree: int) -> None:
+    def _create(self, degree: int) -> None:
         gl, ctx = self._gl, self._context.gl
         self._buffers = [gl.create("glCreateBuffers") for _ in range(5)]
         self._bodies, self._harmonics, self._order, self._projected, self._views = self._buffers
@@ -89,7 +89,7 @@ class SplatPass:
         harmonics = np.ascontiguousarray(chunks.sh) if len(chunks) else np.zeros(48, dtype=np.float32)
         for buffer, data in ((self._bodies, bodies), (self._harmonics, harmonics)):
             gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STATIC_DRAW)
-        self._room = 0
+        self._projected_size = 0
         self._compute = ctx.compute_shader(shader_text("splats.comp", (f"SH_DEGREE {degree}",), ("splat_view.glsl",)))
         self._programs.append(self._compute)
         self._depth = self._screen("splat_depth.frag", ("splat_view.glsl", "splat_surface.glsl"), "u_depth")
@@ -105,15 +105,15 @@ class SplatPass:
             gl.glEnableVertexArrayAttrib(self._array, location)
         gl.glVertexArrayBindingDivisor(self._array, 0, 1)
 
-    def _screen(self, fragment: str, before: tuple[str, ...], sampler: str) -> moderngl.Program:
+    def _screen(self, fragment: str, includes: tuple[str, ...], sampler: str) -> moderngl.Program:
         defines = (f"TOLERANCE {TOLERANCE_M:.6f}", f"FARTHEST {_FARTHEST_M:.6f}")
-        program = self._context.gl.program(vertex_shader=FULL_SCREEN, fragment_shader=shader_text(fragment, defines, before))
+        program = self._context.gl.program(vertex_shader=FULL_SCREEN, fragment_shader=shader_text(fragment, defines, includes))
         program[sampler] = 0
         self._programs.append(program)
         return program
 
     def draw(self, scene: GlScene, target: RenderTarget, pictures: Sequence[PinholePicture]) -> None:
-        """Draws the splats over pictures; ``scene`` has drawn them into ``target`` last, which has one sample a pixel."""
+        """Draws the splats over pictures that ``scene`` has just drawn into ``target``, which has one sample per pixel."""
         self.drawn = 0
         if not pictures or not len(self._chunks):
             return
@@ -122,8 +122,8 @@ class SplatPass:
         self._upload(self._views, views)
         self._fill_depth(scene, target, layer, pictures)
         depth = layer.read_depth() if self._occlusion or self._loops else None
-        hiding = depth if self._occlusion else None
-        orders = [self._chunks.select(p, None if hiding is None else _crop(hiding, p), cull=self._cull) for p in pictures]
+        occluders = depth if self._occlusion else None
+        orders = [self._chunks.select(p, None if occluders is None else _crop(occluders, p), cull=self._cull) for p in pictures]
         counts = [len(order) for order in orders]
         views["count"], views["first"] = counts, np.cumsum([0, *counts[:-1]])
         self.drawn = sum(counts)
@@ -142,7 +142,7 @@ class SplatPass:
         textures = (target.textures["depth"], layer.depth)
         assert self._contacts is not None
         self._contacts.darken(*scene.link_boxes(), pictures, textures, layer.framebuffer, self._bind_picture)
-        self._put_over(target, layer, pictures)
+        self._composite(target, layer, pictures)
 
     def _layer(self, width: int, height: int) -> _Layer:
         layer = self._layers.pop((width, height), None)
@@ -154,7 +154,7 @@ class SplatPass:
         return layer
 
     def _fill_depth(self, scene: GlScene, target: RenderTarget, layer: _Layer, pictures: Sequence[PinholePicture]) -> None:
-        """Fills the depth that hides splats: of the mesh, moved back, and of what moves."""
+        """Fills the depth of the occluders of splats: the mesh, moved back, and moving links."""
         gl = self._gl
         gl.glBindFramebuffer(GL.FRAMEBUFFER, layer.depth_framebuffer)
         for state in (GL.BLEND, GL.CULL_FACE, GL.SCISSOR_TEST):
@@ -184,9 +184,9 @@ class SplatPass:
         """Projects the splats of all pictures."""
         gl = self._gl
         needed = sum(counts) * _PROJECTED_BYTES
-        if needed > self._room:
-            self._room = needed * 3 // 2
-            gl.glNamedBufferData(self._projected, self._room, None, GL.STREAM_DRAW)
+        if needed > self._projected_size:
+            self._projected_size = needed * 3 // 2
+            gl.glNamedBufferData(self._projected, self._projected_size, None, GL.STREAM_DRAW)
         for binding, buffer in enumerate((self._bodies, self._harmonics, self._order, self._projected)):
             gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, binding, buffer)
         for number, count in enumerate(counts):
@@ -196,7 +196,7 @@ class SplatPass:
         gl.glMemoryBarrier(GL.ALL_BARRIERS)
 
     def _blend_splats(self, pictures: Sequence[PinholePicture], counts: Sequence[int]) -> None:
-        """Blends the projected splats into the layer that is bound."""
+        """Blends the projected splats into the bound layer."""
         gl = self._gl
         gl.glDepthFunc(GL.GREATER)
         gl.glDepthMask(0)
@@ -229,18 +229,18 @@ class SplatPass:
             first += count
 
     def _in_threads(self, splats: F32, starts: NDArray[np.int64], listed: NDArray[np.int32], depth: F32, out: F32) -> None:
-        """Calls ``blend_tiles`` in as many threads as OpenGL draws with; each has its own tiles."""
+        """Calls ``blend_tiles`` in as many threads as the software renderer has; each blends a share of the tiles."""
         number = self._thread_count
         if number == 1:
             blend_tiles(splats, starts, listed, depth, out, 0, 1)
             return
         if self._threads is None:
             self._threads = ThreadPoolExecutor(number, thread_name_prefix="splats")
-        for waiting in [self._threads.submit(blend_tiles, splats, starts, listed, depth, out, k, number) for k in range(number)]:
-            waiting.result()
+        for future in [self._threads.submit(blend_tiles, splats, starts, listed, depth, out, k, number) for k in range(number)]:
+            future.result()
 
-    def _put_over(self, target: RenderTarget, layer: _Layer, pictures: Sequence[PinholePicture]) -> None:
-        """Puts the layer over the colours of the target."""
+    def _composite(self, target: RenderTarget, layer: _Layer, pictures: Sequence[PinholePicture]) -> None:
+        """Composites the layer over the colours of the target."""
         gl = self._gl
         gl.glBindFramebuffer(GL.FRAMEBUFFER, target.color_framebuffer)
         gl.glDisable(GL.DEPTH_TEST)
@@ -262,7 +262,7 @@ class SplatPass:
         self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STREAM_DRAW)
 
     def close(self) -> None:
-        """Frees everything; a second call does nothing. The context must be current."""
+        """Frees all GPU resources; a second call does nothing. The context must be current."""
         if self._threads is not None:
             self._threads.shutdown()
             self._threads = None
@@ -282,31 +282,31 @@ class SplatPass:
 
 
 class _Layer:
-    """A picture of splats in single floats, and the depth that hides them."""
+    """A picture of splats in single precision, and the depth of their occluders."""
 
     def __init__(self, gl: GL.Gl, width: int, height: int) -> None:
         self._gl, self._width, self._height = gl, width, height
-        self.color, self.depth = (self._texture(form) for form in (GL.RGBA32F, GL.DEPTH_COMPONENT32F))
+        self.color, self.depth = (self._texture(f) for f in (GL.RGBA32F, GL.DEPTH_COMPONENT32F))
         self.framebuffer, self.depth_framebuffer = (gl.create("glCreateFramebuffers") for _ in range(2))
         gl.glNamedFramebufferTexture(self.framebuffer, GL.COLOR_ATTACHMENT0, self.color, 0)
         for framebuffer in (self.framebuffer, self.depth_framebuffer):
             gl.glNamedFramebufferTexture(framebuffer, GL.DEPTH_ATTACHMENT, self.depth, 0)
 
-    def _texture(self, form: int) -> int:
+    def _texture(self, internal_format: int) -> int:
         texture = self._gl.create("glCreateTextures", GL.TEXTURE_2D)
-        self._gl.glTextureStorage2D(texture, 1, form, self._width, self._height)
+        self._gl.glTextureStorage2D(texture, 1, internal_format, self._width, self._height)
         for name in (GL.TEXTURE_MIN_FILTER, GL.TEXTURE_MAG_FILTER):
             self._gl.glTextureParameteri(texture, name, GL.NEAREST)
         return texture
 
     def read_depth(self) -> F32:
-        """Returns the depth, ``near / depth``, (H, W); it must be bound."""
+        """Returns the depth, ``near / depth``, (H, W); its framebuffer must be bound."""
         out = np.empty((self._height, self._width), dtype=np.float32)
         self._gl.glReadPixels(0, 0, self._width, self._height, GL.DEPTH_COMPONENT, GL.FLOAT, out.ctypes.data)
         return out
 
     def close(self) -> None:
-        """Frees it."""
+        """Frees the framebuffers and textures."""
         for framebuffer in (self.framebuffer, self.depth_framebuffer):
             self._gl.delete("glDeleteFramebuffers", framebuffer)
         for texture in (self.color, self.depth):
@@ -314,7 +314,7 @@ class _Layer:
 
 
 def _view(picture: PinholePicture, R_world_file: NDArray[np.float64]) -> NDArray[np.void]:
-    """Returns the uniforms of a picture, (1,) of ``_SPLAT_VIEW``, without the numbers of its splats."""
+    """Returns the uniforms of a picture, (1,) of ``_SPLAT_VIEW``, except for the range of its splats."""
     view, k = np.zeros(1, dtype=_SPLAT_VIEW), picture.intrinsics
     view["optical"][0] = np.linalg.inv(picture.T_world_camera).T
     view["eye"][0] = (*picture.T_world_camera[:3, 3], picture.near)
@@ -322,7 +322,7 @@ def _view(picture: PinholePicture, R_world_file: NDArray[np.float64]) -> NDArray
     low, high = projected_limits(k, picture.width, picture.height)
     view["limits"][0] = (*low, *high)
     view["place"][0] = (picture.width, picture.height, picture.x, picture.y)
-    view["file"][0, :, :3] = R_world_file  # transposed once as the inverse, and once to be by columns
+    view["file"][0, :, :3] = R_world_file  # transposed twice: inverted, and stored column-major
     view["skew"] = k[0, 1]
     return view
 

@@ -1,6 +1,6 @@
-"""Render targets: a colour image and a depth image of one size, and further outputs beside them, all as textures.
+"""Render targets: a colour image, a depth image and optional features of the same size, all as textures.
 
-Further outputs are more colour attachments of the same framebuffer, filled in the same pass, and present only if requested.
+Features are further colour attachments of the same framebuffer, written in the same pass, and present only if requested.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.types import CameraSpec, Output
 
 Feature = Literal["LABELS", "NORMALS", "FLOW"]
-"""A further output, named as its macro in the shaders."""
+"""A feature, named like its macro in the shaders."""
 FEATURES: tuple[Feature, ...] = ("LABELS", "NORMALS", "FLOW")
 ATTACHMENT: dict[str, int] = {"color": 0, "LABELS": 1, "NORMALS": 2, "FLOW": 3}
-"""Number of its colour attachment."""
+"""Index of the colour attachment of each output."""
 FORMATS: dict[str, int] = {
     "color": GL.SRGB8_ALPHA8,
     "depth": GL.DEPTH_COMPONENT32F,
     "LABELS": GL.RG16UI,
-    "NORMALS": GL.RGBA16,  # fractions of 16 bits: finer than half floats near 1, and half the bytes of single floats
+    "NORMALS": GL.RGBA16,  # 16-bit normalised: finer than half floats near 1, and half the size of single floats
     "FLOW": GL.RG32F,
 }
-"""OpenGL's internal format of each texture."""
+"""OpenGL internal format of each texture."""
 
 
 def features_of(outputs: Sequence[Output], *, filled: bool = False) -> tuple[Feature, ...]:
-    """Returns the features that outputs need beside colour and depth; those of pictures that are ``filled`` tell where holes are."""
+    """Returns the features required by outputs; hole filling (``filled``) needs normals, whose alpha channel marks holes."""
     needed = {
         "LABELS": bool({"semantic", "instance"} & set(outputs)),
         "NORMALS": filled or bool({"normal", "normal_world", "hole"} & set(outputs)),
@@ -39,7 +39,7 @@ def features_of(outputs: Sequence[Output], *, filled: bool = False) -> tuple[Fea
 
 
 def draws_colors(camera: CameraSpec) -> bool:
-    """Returns whether the colours of a camera's images are drawn: a network fills depth by them, even where they are not an output."""
+    """Returns whether colours must be drawn for a camera: they are an output, or a network needs them to fill depth."""
     by_network = camera.fill_depth and camera.fill != "push_pull" and bool({"depth", "position"} & set(camera.outputs))
     return "rgb" in camera.outputs or by_network
 
@@ -49,10 +49,10 @@ class RenderTarget:
 
     Args:
         context: it must be current in every call.
-        width: pixels.
-        height: pixels.
-        features: further outputs.
-        samples: of all attachments; above 1 the textures are multisampled.
+        width: width, pixels.
+        height: height, pixels.
+        features: outputs in addition to colour and depth.
+        samples: samples per pixel of all attachments; above 1 the textures are multisampled.
 
     Raises:
         RenderError: the driver does not support the size or the number of samples.
@@ -61,19 +61,19 @@ class RenderTarget:
     def __init__(self, context: GlContext, width: int, height: int, features: tuple[Feature, ...] = (), samples: int = 1) -> None:
         self.width, self.height, self.features, self.samples = width, height, features, samples
         self.textures: dict[str, int] = {}
-        """OpenGL's names of "color", "depth" and each feature."""
+        """OpenGL names of the textures "color", "depth" and each feature."""
         self.framebuffer = 0
         self.color_framebuffer = 0
-        """The same with its colours only."""
-        self._depth_framebuffer = self._geometry_framebuffer = 0  # its depth only; all but its colours
+        """Framebuffer with only the colour attachment."""
+        self._depth_framebuffer = self._geometry_framebuffer = 0  # only depth; all but colour
         self._framebuffers: list[int] = []
         self._gl = GL.Gl(context)
         driver = context.device.renderer
-        limit, most = self._gl.integer(GL.MAX_TEXTURE_SIZE), self._gl.integer(GL.MAX_SAMPLES)
+        limit, max_samples = self._gl.integer(GL.MAX_TEXTURE_SIZE), self._gl.integer(GL.MAX_SAMPLES)
         if max(width, height) > limit:
             raise RenderError(f"image size is {width}x{height}, {driver} draws at most {limit} pixels a side")
-        if samples > most:
-            raise RenderError(f"{samples} samples a pixel are requested, {driver} draws at most {most}; request fewer")
+        if samples > max_samples:
+            raise RenderError(f"{samples} samples a pixel are requested, {driver} draws at most {max_samples}; request fewer")
         try:
             self._create()
         except BaseException:
@@ -108,14 +108,14 @@ class RenderTarget:
         gl.glNamedFramebufferDrawBuffers(framebuffer, len(drawn), (ctypes.c_uint * len(drawn))(*drawn))
         return framebuffer
 
-    def _texture(self, form: int) -> int:
+    def _texture(self, internal_format: int) -> int:
         gl = self._gl
         if self.samples > 1:
             texture = gl.create("glCreateTextures", GL.TEXTURE_2D_MULTISAMPLE)
-            gl.glTextureStorage2DMultisample(texture, self.samples, form, self.width, self.height, 1)
+            gl.glTextureStorage2DMultisample(texture, self.samples, internal_format, self.width, self.height, 1)
             return texture
         texture = gl.create("glCreateTextures", GL.TEXTURE_2D)
-        gl.glTextureStorage2D(texture, 1, form, self.width, self.height)
+        gl.glTextureStorage2D(texture, 1, internal_format, self.width, self.height)
         for name in (GL.TEXTURE_MIN_FILTER, GL.TEXTURE_MAG_FILTER):
             gl.glTextureParameteri(texture, name, GL.NEAREST)
         for name in (GL.TEXTURE_WRAP_S, GL.TEXTURE_WRAP_T):
@@ -123,11 +123,11 @@ class RenderTarget:
         return texture
 
     def use(self, *, color: bool = True) -> None:
-        """Binds the framebuffer, with or without colours, and sets the viewport to all of it."""
+        """Binds the framebuffer, with or without the colour attachment, and sets the viewport to the whole target."""
         self._use(self.framebuffer if color else self._geometry_framebuffer)
 
     def use_depth(self) -> None:
-        """Binds a framebuffer with the depth only, and sets the viewport to all of it."""
+        """Binds the framebuffer with only the depth attachment, and sets the viewport to the whole target."""
         self._use(self._depth_framebuffer)
 
     def _use(self, framebuffer: int) -> None:
@@ -135,7 +135,7 @@ class RenderTarget:
         self._gl.glViewport(0, 0, self.width, self.height)
 
     def close(self) -> None:
-        """Frees it; a second call does nothing. The context must be current."""
+        """Frees the GPU resources; a second call does nothing. The context must be current."""
         while self._framebuffers:
             self._gl.delete("glDeleteFramebuffers", self._framebuffers.pop())
         self.framebuffer = self.color_framebuffer = self._depth_framebuffer = self._geometry_framebuffer = 0

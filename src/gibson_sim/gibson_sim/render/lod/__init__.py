@@ -1,1 +1,1 @@
-"""Levels of detail: clusters at load time, and the choice among them for each picture."""
+"""Levels of detail: clusters built at load time, and their selection for each picture."""

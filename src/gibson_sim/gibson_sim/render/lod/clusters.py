@@ -1,11 +1,11 @@
-"""Levels of detail: cuts triangles into clusters, and makes coarser clusters that can replace several finer ones.
+"""Levels of detail: splits triangles into clusters, and builds coarser clusters that replace several finer ones.
 
-The scheme is that of Karis, Stubbe and Wihlidal, "Nanite: A Deep Dive" (SIGGRAPH 2021 course): neighbouring clusters form a group; the
-group is simplified while the vertices that it shares with other groups are locked; the result is cut into clusters again, and
-so on with other groups, so that borders that were locked at one level vanish at the next. Each group has an error, and a box around all
-that it replaces. A renderer draws a cluster if the error of the group that made it is small enough on the image and that of the group
-that replaces it is not. Neighbours pass or fail together, so no cracks open: an error never is less, nor its box smaller, than those of
-the groups it was made from. The simplifier is meshoptimizer's. No OpenGL here.
+The method is that of Karis, Stubbe and Wihlidal, "Nanite: A Deep Dive" (SIGGRAPH 2021 course). Neighbouring clusters form a group. The
+group is simplified with the vertices that it shares with other groups locked, and the result is split into clusters again. The next level
+forms other groups, so that borders locked at one level are simplified at the next. Each group has an error, and a box around everything
+that it replaces. A renderer draws a cluster if the screen-space error of the group that it was built from is small enough and the error
+of the group that replaces it is not. Errors and boxes never shrink from one level to the next, so all clusters of a group pass or fail
+together and no cracks open. Simplification uses meshoptimizer. No OpenGL.
 """
 
 from __future__ import annotations
@@ -24,49 +24,49 @@ I64 = NDArray[np.int64]
 
 _log = logging.getLogger(__name__)
 GROUP = 4
-"""Full clusters in a group, about."""
+"""Approximate number of full clusters in a group."""
 SLIDE_WEIGHT = 0.5
 """Weight of texture sliding along the surface against displacement of the surface, m/m."""
 FIRST_ERROR = 0.02
-"""Error of the first coarser level, in median lengths of an edge."""
+"""Error limit of the first simplified level, as a multiple of the median edge length."""
 ERROR_STEP = 1.7
-"""Ratio of the errors that successive levels may reach."""
+"""Ratio of the error limits of successive levels."""
 REDUCTION = 0.85
-"""Largest ratio of triangles after simplification to those before: a group that stays above it keeps its triangles."""
+"""Largest ratio of the number of triangles after simplification to that before; a group above it keeps its triangles."""
 NORMAL_WEIGHT_M = 0.2
-"""Weight of rotation of normals against displacement of the surface, m/rad: it decides which edges collapse first. With far less, the
-normals of a round edge spread over the flat side beside it."""
+"""Weight of rotation of normals against displacement of the surface, m/rad. It determines the order of edge collapses: with far smaller
+weights, the normals of a rounded edge spread over the flat side beside it."""
 COLOR_WEIGHT_M = 0.1
 """Weight of a change of vertex colour from black to white against displacement of the surface, m."""
 SMALLEST = 64
-"""Least number of triangles of a mesh with coarser levels: fewer gain nothing."""
+"""Minimum number of triangles of a mesh that is simplified: smaller meshes gain nothing."""
 COARSEST = 16
-"""Triangles at which simplification ends."""
+"""Number of triangles at which simplification ends."""
 
 _SPARSE, _ERROR_ABSOLUTE = 2, 4
 _LEAST_ERROR = 1e-9
-"""Metres."""
+"""Minimum error of a group, metres."""
 _GROUPING_ROUNDS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clusters:
-    """Clusters of all levels, the finest first. A group is the clusters that were simplified together: it has one error and one box."""
+    """Clusters of all levels, finest first. A group consists of the clusters that were simplified together; it has one error and one box."""
 
     triangles: I64
-    """(F, 3), rows of the given vertices; cluster by cluster."""
+    """(F, 3), rows in the input vertices, sorted by cluster."""
     ends: I64
-    """(C,), row of ``triangles`` after the last one of each cluster."""
+    """(C,), end of each cluster in ``triangles``, exclusive."""
     level: I64
-    """(C,), 0 = the given triangles."""
+    """(C,), level of detail; 0 = the input triangles."""
     group: I64
-    """(C,), the group whose simplification made this cluster; -1 for the finest, which have no error."""
+    """(C,), group whose simplification produced the cluster; -1 for the finest clusters, which have no error."""
     next_group: I64
-    """(C,), the group whose simplification replaces this cluster; -1 = none."""
+    """(C,), group whose simplification replaces the cluster; -1 = none."""
     group_error: F64
-    """(G,), metres from the given triangles; never less than the errors of the groups it was made from."""
+    """(G,), distance from the input triangles, metres; never less than the errors of the groups that it was built from."""
     group_box: F64
-    """(G, 6), smallest and largest corner, metres, of what that error applies to."""
+    """(G, 6), minimum and maximum corner, metres, of everything that the group replaces."""
 
     @property
     def starts(self) -> I64:
@@ -78,12 +78,12 @@ Simplify = Callable[..., int]
 
 
 def simplifier() -> Simplify | None:
-    """Returns meshoptimizer's ``meshopt_simplifyWithAttributes``, or None if it is not installed; then there are no coarser levels."""
+    """Returns meshoptimizer's ``meshopt_simplifyWithAttributes``, or None if it is not installed; without it there are no levels of detail."""
     try:
         from meshoptimizer.simplifier import lib
     except ImportError:
         return None
-    # The package's own wrapper declares no types: sizes beyond the sixth argument would have garbage in their upper half.
+    # The package's wrapper declares no argument types: sizes beyond the sixth argument would have garbage in their upper half.
     size, real, pointer = ctypes.c_size_t, ctypes.c_float, ctypes.c_void_p
     function: Simplify = ctypes.CFUNCTYPE(
         size,
@@ -99,7 +99,7 @@ def build_clusters(
     triangles: I64,
     size: int,
     fixed: NDArray[np.bool_] | None = None,
-    coarser: bool = True,
+    levels_of_detail: bool = True,
     colors: F32 | None = None,
 ) -> Clusters:
     """Returns clusters of at most ``size`` triangles.
@@ -108,24 +108,24 @@ def build_clusters(
         positions: (V, 3), metres.
         normals: (V, 3).
         uvs: (V, 2), in units of the texture's size.
-        triangles: (F, 3), rows of the vertices.
-        size: most triangles in a cluster.
-        fixed: (V,), vertices that are always locked; None = none.
-        coarser: make coarser levels too.
-        colors: (V, 3), linear, 0 to 1; None = the vertices have none.
+        triangles: (F, 3), rows in the vertices.
+        size: maximum number of triangles in a cluster.
+        fixed: (V,), mask of vertices that are always locked; None = none.
+        levels_of_detail: build coarser levels too.
+        colors: (V, 3), linear, 0 to 1; None = the vertices have no colours.
     """
     order, ends = split(positions[triangles].mean(axis=1, dtype=np.float64), size)
-    made = _ClusterList()
-    made.add(np.split(triangles[order], ends[:-1]), _boxes(positions, triangles[order], ends), -1, 0.0, 0)
-    simplify = simplifier() if coarser and len(triangles) >= SMALLEST else None
+    out = _ClusterList()
+    out.add(np.split(triangles[order], ends[:-1]), _boxes(positions, triangles[order], ends), -1, 0.0, 0)
+    simplify = simplifier() if levels_of_detail and len(triangles) >= SMALLEST else None
     if simplify is not None:
-        _Coarsener(simplify, positions, normals, uvs, triangles, size, fixed, colors).coarsen(made)
-    return made.clusters()
+        _LevelBuilder(simplify, positions, normals, uvs, triangles, size, fixed, colors).build(out)
+    return out.clusters()
 
 
 @dataclass(slots=True)
 class _ClusterList:
-    """Clusters and groups while they are made."""
+    """Clusters and groups under construction."""
 
     triangles: list[I64] = field(default_factory=list)
     box: list[F64] = field(default_factory=list)
@@ -137,7 +137,7 @@ class _ClusterList:
     group_box: list[F64] = field(default_factory=list)
 
     def add(self, clusters: Sequence[I64], boxes: Sequence[F64] | F64, group: int, error: float, level: int) -> range:
-        """Adds clusters of one group, each (F, 3), and returns their numbers."""
+        """Adds clusters, each (F, 3), produced by one group, and returns their numbers."""
         first = len(self.triangles)
         self.triangles += clusters
         self.box += list(boxes)
@@ -159,8 +159,8 @@ class _ClusterList:
         )
 
 
-class _Coarsener:
-    """Makes the coarser levels of one mesh."""
+class _LevelBuilder:
+    """Builds the coarser levels of one mesh."""
 
     def __init__(
         self,
@@ -178,72 +178,72 @@ class _Coarsener:
         self._positions = np.ascontiguousarray(positions, dtype=np.float32)
         tints = () if colors is None else (colors,)
         self._attributes = np.ascontiguousarray(np.hstack([normals, uvs, *tints]), dtype=np.float32)
-        # Errors of attributes are in the unit of positions: those of uvs are the distance that the texture slides over the surface.
+        # Attribute errors have the unit of positions: the error of uvs is the distance that the texture slides over the surface.
         self._weights = np.array(
             [NORMAL_WEIGHT_M] * 3
             + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2
             + [COLOR_WEIGHT_M] * 3 * len(tints),
             dtype=np.float32,
         )
-        # Vertices at one position that differ in their attributes move together.
+        # Vertices at the same position with different attributes move together.
         self._welded = weld(self._positions)
         self._fixed = np.zeros(int(self._welded.max()) + 1, dtype=bool)
         if fixed is not None:
             self._fixed[self._welded[fixed]] = True
 
-    def coarsen(self, made: _ClusterList) -> None:
-        """Makes coarser clusters until few triangles are left, or the error is as large as the mesh.
+    def build(self, out: _ClusterList) -> None:
+        """Adds coarser clusters until few triangles are left, or the error is as large as the mesh.
 
-        Each level may reach an error that is larger by a constant factor than that of the level before. A group that cannot become
-        coarser within it stays, and is tried again at the next level: flat things get few triangles long before round ones.
+        The error limit grows by a constant factor from level to level. A group that cannot be simplified within it is kept and tried
+        again at the next level: flat surfaces need few triangles long before round ones.
         """
-        now = np.arange(len(made.triangles))
+        current = np.arange(len(out.triangles))
         size = float(np.ptp(self._positions, axis=0).max())
-        # Where most triangles have no area, the median is 0.
-        allowed = max(FIRST_ERROR * _median_edge(self._positions, np.concatenate(made.triangles)), 1e-6 * size)
+        # Where most triangles are degenerate, the median is 0.
+        error_limit = max(FIRST_ERROR * _median_edge(self._positions, np.concatenate(out.triangles)), 1e-6 * size)
         level = 1
-        while sum(len(made.triangles[c]) for c in now) > COARSEST and allowed < size:
-            after = self._coarser(made, now, allowed, level)
-            # A level that changed almost nothing lets the next one go farther.
-            allowed *= ERROR_STEP if len(after) < 0.98 * len(now) else ERROR_STEP**2
-            now = after
+        while sum(len(out.triangles[c]) for c in current) > COARSEST and error_limit < size:
+            coarser = self._next_level(out, current, error_limit, level)
+            # After a level with almost no change the limit grows faster.
+            error_limit *= ERROR_STEP if len(coarser) < 0.98 * len(current) else ERROR_STEP**2
+            current = coarser
             level += 1
 
-    def _coarser(self, made: _ClusterList, now: I64, allowed: float, level: int) -> I64:
-        """Returns the numbers of the clusters that represent all triangles when errors up to ``allowed`` metres are accepted."""
-        triangles = np.concatenate([made.triangles[c] for c in now])
-        sizes = np.array([len(made.triangles[c]) for c in now])
-        clusters = np.repeat(np.arange(len(now)), sizes)
+    def _next_level(self, out: _ClusterList, current: I64, error_limit: float, level: int) -> I64:
+        """Adds the clusters of the next level; returns the numbers of the clusters that represent all triangles at ``error_limit`` metres."""
+        triangles = np.concatenate([out.triangles[c] for c in current])
+        sizes = np.array([len(out.triangles[c]) for c in current])
+        clusters = np.repeat(np.arange(len(current)), sizes)
         centres = _means(self._positions[triangles].mean(axis=1, dtype=np.float64), np.cumsum(sizes))
         group_of = self._groups(triangles, clusters, centres, sizes)
         lock = self._locks(triangles, group_of[clusters])
         order = np.argsort(group_of, kind="stable")
-        after: list[int] = []
+        coarser: list[int] = []
         for rows in np.split(order, np.cumsum(np.bincount(group_of))[:-1]):
-            members = now[rows].tolist()
-            merged = np.concatenate([made.triangles[c] for c in members])
-            simple, error = self._simplify(merged, lock, allowed)
-            if len(simple) > REDUCTION * len(merged):
-                after += members
+            members = current[rows].tolist()
+            merged = np.concatenate([out.triangles[c] for c in members])
+            simplified, error = self._simplify(merged, lock, error_limit)
+            if len(simplified) > REDUCTION * len(merged):
+                coarser += members
                 continue
-            error = max(error, *(made.error[c] for c in members), _LEAST_ERROR)
-            boxes = np.array([made.box[c] for c in members])
+            error = max(error, *(out.error[c] for c in members), _LEAST_ERROR)
+            boxes = np.array([out.box[c] for c in members])
             box = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
-            number = len(made.group_error)
-            made.group_error.append(error)
-            made.group_box.append(box)
+            number = len(out.group_error)
+            out.group_error.append(error)
+            out.group_box.append(box)
             for c in members:
-                made.next_group[c] = number
-            if len(simple):
-                inside, ends = split(self._positions[simple].mean(axis=1, dtype=np.float64), self._size)
-                clusters_of = np.split(simple[inside], ends[:-1])
-                after += made.add(clusters_of, [box] * len(clusters_of), number, error, level)
-        return np.array(after, dtype=np.int64)
+                out.next_group[c] = number
+            if len(simplified):
+                sequence, ends = split(self._positions[simplified].mean(axis=1, dtype=np.float64), self._size)
+                new_clusters = np.split(simplified[sequence], ends[:-1])
+                coarser += out.add(new_clusters, [box] * len(new_clusters), number, error, level)
+        return np.array(coarser, dtype=np.int64)
 
     def _groups(self, triangles: I64, clusters: I64, centres: F64, sizes: I64) -> I64:
-        """Returns the group of each cluster, (C,): clusters that share most vertices are grouped.
+        """Returns the group of each cluster, (C,): clusters that share the most vertices are grouped.
 
-        The locked border of an earlier group is denser than the rest, so it weighs most and ends up inside the next group.
+        The locked border of an earlier group is denser than the rest, so it has the largest weight and ends up inside the next group.
         """
         count = len(centres)
         pairs = np.unique(np.repeat(clusters, 3) + self._welded[triangles].ravel() * count)
@@ -253,18 +253,18 @@ class _Coarsener:
             same = vertices[step:] == vertices[:-step]
             edges.append(members[:-step][same] * count + members[step:][same])
         codes, weights = np.unique(np.concatenate(edges), return_counts=True)
-        along = np.empty(count, dtype=np.int64)
-        along[np.argsort(morton(centres), kind="stable")] = np.arange(count)
+        rank = np.empty(count, dtype=np.int64)
+        rank[np.argsort(morton(centres), kind="stable")] = np.arange(count)
         group_of = np.arange(count)
         for _ in range(_GROUPING_ROUNDS):
             open_ = np.bincount(group_of, weights=sizes) < GROUP * self._size / 2
             if open_.sum() < 2:
                 break
-            group_of = _matched(group_of, codes // count, codes % count, weights, along, open_)
+            group_of = _join_pairs(group_of, codes // count, codes % count, weights, rank, open_)
         return group_of
 
     def _locks(self, triangles: I64, groups: I64) -> NDArray[np.uint8]:
-        """Returns 1 for every vertex, (V,), that is fixed or whose position several groups share."""
+        """Returns 1 for every vertex, (V,), that is fixed or whose position is shared by several groups, else 0."""
         welded = self._welded[triangles].ravel()
         group = np.repeat(groups, 3)
         lowest = np.full(len(self._fixed), np.iinfo(np.int64).max)
@@ -274,8 +274,8 @@ class _Coarsener:
         locked: NDArray[np.bool_] = ((lowest < highest) & (highest >= 0)) | self._fixed
         return np.ascontiguousarray(locked[self._welded], dtype=np.uint8)
 
-    def _simplify(self, triangles: I64, lock: NDArray[np.uint8], allowed: float) -> tuple[I64, float]:
-        """Returns as few triangles as an error of ``allowed`` metres permits, and the error."""
+    def _simplify(self, triangles: I64, lock: NDArray[np.uint8], error_limit: float) -> tuple[I64, float]:
+        """Returns as few triangles as an error of ``error_limit`` metres permits, and their error."""
         indices = np.ascontiguousarray(triangles.ravel(), dtype=np.uint32)
         out = np.empty_like(indices)
         error = ctypes.c_float(0.0)
@@ -285,13 +285,13 @@ class _Coarsener:
         count = self._function(
             out.ctypes.data, indices.ctypes.data, len(indices), positions.ctypes.data, len(positions), positions.strides[0],
             attributes.ctypes.data, attributes.strides[0], weights.ctypes.data, len(weights), lock.ctypes.data,
-            0, allowed, _SPARSE | _ERROR_ABSOLUTE, ctypes.addressof(error),
+            0, error_limit, _SPARSE | _ERROR_ABSOLUTE, ctypes.addressof(error),
         )  # fmt: skip
         return out[:count].reshape(-1, 3).astype(np.int64), error.value
 
 
-def _matched(group_of: I64, a: I64, b: I64, weights: I64, along: I64, open_: NDArray[np.bool_]) -> I64:
-    """Returns open groups joined in pairs: along the heaviest edges (a, b) between two of them first, the rest in the order ``along``."""
+def _join_pairs(group_of: I64, a: I64, b: I64, weights: I64, rank: I64, open_: NDArray[np.bool_]) -> I64:
+    """Joins open groups in pairs: first along the heaviest edges (a, b) between two of them, then the rest in the order of ``rank``."""
     first, second = np.minimum(group_of[a], group_of[b]), np.maximum(group_of[a], group_of[b])
     count = int(group_of.max()) + 1
     apart = (first < second) & open_[first] & open_[second]
@@ -303,7 +303,7 @@ def _matched(group_of: I64, a: I64, b: I64, weights: I64, along: I64, open_: NDA
         if partner[one] < 0 and partner[other] < 0:
             partner[one], partner[other] = other, one
     place = np.full(count, np.iinfo(np.int64).max)
-    np.minimum.at(place, group_of, along)
+    np.minimum.at(place, group_of, rank)
     alone = np.flatnonzero((partner < 0) & open_)
     alone = alone[np.argsort(place[alone], kind="stable")]
     for one, other in zip(alone[0::2].tolist(), alone[1::2].tolist(), strict=False):
@@ -320,7 +320,7 @@ def _median_edge(positions: F32, triangles: I64) -> float:
 
 
 def _metres_per_uv(positions: F32, uvs: F32, triangles: I64) -> float:
-    """Returns the mean size of the texture on the surface, metres for each unit of uv, weighted by area."""
+    """Returns the mean size of the texture on the surface, metres per unit of uv, weighted by area."""
     a, b, c = (positions[triangles[:, k]].astype(np.float64) for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     p, q, r = (uvs[triangles[:, k]].astype(np.float64) for k in range(3))
@@ -330,14 +330,14 @@ def _metres_per_uv(positions: F32, uvs: F32, triangles: I64) -> float:
 
 
 def _means(values: F64, ends: I64) -> F64:
-    """Returns the mean of each range of rows, given by their ends."""
+    """Returns the mean of each range of rows; ``ends`` are the ends of the ranges."""
     starts = np.concatenate([[0], ends[:-1]])
     means: F64 = np.add.reduceat(values, starts, axis=0) / (ends - starts)[:, None]
     return means
 
 
 def _boxes(positions: F32, triangles: I64, ends: I64) -> F64:
-    """Returns the bounding box (smallest, largest corner) of the triangles of each cluster, (C, 6)."""
+    """Returns the bounding box (minimum, maximum corner) of the triangles of each cluster, (C, 6)."""
     starts = np.concatenate([[0], ends[:-1]])
     corners = positions[triangles].astype(np.float64)
     low = np.minimum.reduceat(corners.min(axis=1), starts, axis=0)
@@ -345,9 +345,9 @@ def _boxes(positions: F32, triangles: I64, ends: I64) -> F64:
 
 
 def weld(positions: F32) -> I64:
-    """Returns a number for each vertex, (V,), the same for all vertices at one position: 0, 1, 2, ..."""
-    bits = np.ascontiguousarray(positions + np.float32(0.0)).view(np.uint32).astype(np.uint64)  # + 0 makes -0 to 0
-    # Two positions with the same hash, all but impossible, would move together, which does no harm.
+    """Returns the number, 0, 1, 2, ..., of each vertex's position, (V,): vertices at the same position have the same number."""
+    bits = np.ascontiguousarray(positions + np.float32(0.0)).view(np.uint32).astype(np.uint64)  # + 0 turns -0 into 0
+    # Positions whose hashes collide, which is all but impossible, would move together, which is harmless.
     key = (
         bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
         ^ bits[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
@@ -358,10 +358,10 @@ def weld(positions: F32) -> I64:
 
 
 def split(points: F64, size: int) -> tuple[I64, I64]:
-    """Cuts points into neighbourhoods of at most ``size``, along the longest side first.
+    """Splits points, (N, 3), into neighbourhoods of at most ``size``, recursively along the longest side.
 
     Returns:
-        The order of the points, (N,), and where each neighbourhood ends in it, (C,).
+        The order of the points, (N,), and the end of each neighbourhood in it, (C,).
     """
     leaves = list(_leaves(points, np.argsort(morton(points), kind="stable"), size))
     return np.concatenate(leaves), np.cumsum([len(leaf) for leaf in leaves])
@@ -374,12 +374,12 @@ def _leaves(points: F64, rows: I64, size: int) -> Iterator[I64]:
         if len(rows) <= size:
             yield rows
             continue
-        here = points[rows]
-        axis = int(np.argmax(np.ptp(here, axis=0)))
-        # The lower side gets whole neighbourhoods; a stable sort keeps the order of equal coordinates.
-        wholes = (len(rows) + size - 1) // size
-        lower = size * (wholes // 2)
-        by_axis = np.argsort(here[:, axis], kind="stable")
+        subset = points[rows]
+        axis = int(np.argmax(np.ptp(subset, axis=0)))
+        # The lower side gets full neighbourhoods; a stable sort keeps the order of equal coordinates.
+        full = (len(rows) + size - 1) // size
+        lower = size * (full // 2)
+        by_axis = np.argsort(subset[:, axis], kind="stable")
         upper = np.zeros(len(rows), dtype=bool)
         upper[by_axis[lower:]] = True
         stack += [rows[upper], rows[~upper]]

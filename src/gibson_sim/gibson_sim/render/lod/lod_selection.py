@@ -1,7 +1,7 @@
-"""Compiled loops of ``visibility``, ``draw_plan`` and ``closed_surfaces``: which clusters a picture draws, at which detail, in which order.
+"""Compiled loops of ``visibility``, ``draw_plan`` and ``closed_surfaces``: level-of-detail selection, culling and draw order of clusters.
 
-For the few hundred clusters of a picture NumPy's calls take far longer than the arithmetic. Results equal those of NumPy to the bit
-(tests compare them).
+For the few hundred clusters of a picture, the overhead of NumPy's calls exceeds the arithmetic by far. Results are bit-identical to those
+of the NumPy code (tests compare them).
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ U32 = NDArray[np.uint32]
 
 
 class DetailLimits(NamedTuple):
-    """How coarse clusters may be."""
+    """Limits of the level of detail."""
 
     focal_px: float
-    """Pixels that 1 m covers at a distance of 1 m; 0 = draw the finest."""
+    """Focal length, pixels; 0 = draw the finest level."""
     largest_error_px: float
-    """Largest error of a surface in the image, pixels; 0 = draw the finest."""
+    """Largest screen-space error of a surface, pixels; 0 = draw the finest level."""
     near: float
-    """Least distance that is used, metres."""
+    """Minimum distance, metres: smaller distances are replaced by it."""
 
 
 class GroupTable(NamedTuple):
@@ -55,23 +55,23 @@ class ClosedSurfaceTable(NamedTuple):
 
 
 class DrawOrderRules(NamedTuple):
-    """What decides the order in which clusters are drawn."""
+    """Properties of clusters and batches that determine the draw order."""
 
     batch_of: I64
     """(C,), batch of each cluster."""
     has_holes: B1
-    """(B,), whether a batch may have holes: its alpha mode is not opaque."""
+    """(B,), whether a batch may have alpha-tested holes: its alpha mode is not opaque."""
     has_opaque: B1
-    """(C,), whether part of a cluster may be opaque."""
+    """(C,), whether a cluster may have opaque parts."""
     has_translucent: B1
-    """(C,), whether part of a cluster may be translucent."""
+    """(C,), whether a cluster may have translucent parts."""
     draws: U32
-    """(C, 5), the draw of each cluster, ``draw_plan.draw_table``."""
+    """(C, 5), draw command of each cluster, see ``draw_plan.draw_table``."""
 
 
 @compiled
 def world_from_links(positions: F64, quats_xyzw: F64) -> F64:
-    """As ``visibility.world_from_links``."""
+    """Computes ``visibility.world_from_links``."""
     T = np.zeros((len(positions) + 1, 4, 4))
     for i in range(3):
         T[0, i, i] = 1.0
@@ -90,7 +90,7 @@ def world_from_links(positions: F64, quats_xyzw: F64) -> F64:
 
 @compiled
 def link_frames(T_world_camera: F64, T_world_links: F64) -> tuple[F64, F64]:
-    """As ``visibility.link_frames``."""
+    """Computes ``visibility.link_frames``."""
     T, eyes, C = np.zeros((len(T_world_links), 4, 4)), np.empty((len(T_world_links), 3)), T_world_camera
     for k in range(len(T_world_links)):
         W = T_world_links[k]
@@ -105,14 +105,14 @@ def link_frames(T_world_camera: F64, T_world_links: F64) -> tuple[F64, F64]:
 
 @compiled
 def planes_of_links(planes: F64, T_camera_links: F64, count: int) -> F64:
-    """As ``visibility.planes_of_links``, of the first ``count`` links."""
-    found = np.empty((count, len(planes), 4))
+    """Computes ``visibility.planes_of_links`` for the first ``count`` links."""
+    out = np.empty((count, len(planes), 4))
     for k in range(count):
         T = T_camera_links[k]
         for p in range(len(planes)):
             for j in range(4):
-                found[k, p, j] = planes[p, 0] * T[0, j] + planes[p, 1] * T[1, j] + planes[p, 2] * T[2, j] + planes[p, 3] * T[3, j]
-    return found
+                out[k, p, j] = planes[p, 0] * T[0, j] + planes[p, 1] * T[1, j] + planes[p, 2] * T[2, j] + planes[p, 3] * T[3, j]
+    return out
 
 
 @compiled
@@ -134,20 +134,20 @@ def plan_picture(
     Args:
         eyes: (L, 3), the eye in the world and in each link, metres.
         T_camera_links: (L, 4, 4), optical frame from each of these.
-        planes: (P, 4), of the frustum, optical frame; P = 0: nothing is outside.
+        planes: (P, 4), frustum planes, optical frame; P = 0 disables frustum culling.
         near_corners: (4, 3), corners of the near plane, optical frame, metres.
-        detail: how coarse clusters may be.
+        detail: limits of the level of detail.
         groups: all cluster groups.
         clusters: all clusters.
-        link_box: as for ``select_clusters``.
+        link_box: see ``select_clusters``.
         closed: all closed surfaces.
-        rules: of the draw order.
-        near_part: as for ``draw_order``.
+        rules: properties that determine the draw order.
+        near_part: see ``draw_order``.
     """
-    inside, far = select_clusters(
+    inside, distances = select_clusters(
         eyes, groups, clusters, link_box, planes_of_links(planes, T_camera_links, len(link_box)), detail
     )
-    nearest = inside[np.argsort(far, kind="mergesort")]
+    nearest = inside[np.argsort(distances, kind="mergesort")]
     order, opaque, near, total = draw_order(nearest, rules, near_part)
     drawn, batch, draws = np.empty(len(order), np.int64), np.empty(len(order), np.int64), np.empty((len(order), 5), np.uint32)
     for i in range(len(order)):
@@ -161,7 +161,7 @@ def plan_picture(
 
 @compiled
 def depth_draws(clusters: I64, table: U32, batch_of: I64, kind_of: I64, kinds: int) -> tuple[U32, I64]:
-    """As ``draw_plan.DrawPlanner.depth_draws``."""
+    """Computes ``draw_plan.DrawPlanner.depth_draws``."""
     first, kept = np.zeros(kinds + 1, dtype=np.int64), 0
     for cluster in clusters:
         if table[cluster, 0] > 0:
@@ -191,8 +191,8 @@ def select_clusters(
         groups: all cluster groups.
         clusters: all clusters.
         link_box: (L', 6), bounding box of the clusters of each link; L' is at most L.
-        planes: (L', P, 4), of the frustum in the frame of the world and of each link; P = 0: nothing is outside.
-        detail: how coarse clusters may be.
+        planes: (L', P, 4), frustum planes in the frame of the world and of each link; P = 0 disables frustum culling.
+        detail: limits of the level of detail.
     """
     count, sides = len(clusters.group), planes.shape[1]
     detailed = len(groups.error) > 0 and detail.focal_px > 0.0 and detail.largest_error_px > 0.0
@@ -203,19 +203,19 @@ def select_clusters(
             small[g] = groups.error[g] * detail.focal_px <= detail.largest_error_px * distance
     link_inside = np.ones(len(link_box), dtype=np.bool_)
     for k in range(1, len(link_box)):
-        link_inside[k] = _reaches(planes[k], sides, link_box[k])
-    found, far, n = np.empty(count, dtype=np.int64), np.empty(count), 0
+        link_inside[k] = _is_inside(planes[k], sides, link_box[k])
+    selected, distances, n = np.empty(count, dtype=np.int64), np.empty(count), 0
     for c in range(count):
-        group, after, link = clusters.group[c], clusters.next_group[c], clusters.link[c]
+        group, next_group, link = clusters.group[c], clusters.next_group[c], clusters.link[c]
         if group >= 0 and not (detailed and small[group]):
             continue
-        if detailed and after >= 0 and small[after]:
+        if detailed and next_group >= 0 and small[next_group]:
             continue
-        if not link_inside[link] or not _reaches(planes[link], sides, clusters.box[c]):
+        if not link_inside[link] or not _is_inside(planes[link], sides, clusters.box[c]):
             continue
-        found[n], far[n] = c, _distance(eyes[link], clusters.box[c])
+        selected[n], distances[n] = c, _distance(eyes[link], clusters.box[c])
         n += 1
-    return found[:n], far[:n]
+    return selected[:n], distances[:n]
 
 
 @compiled
@@ -227,7 +227,7 @@ def _distance(eye: F64, box: F64) -> float:
 
 
 @compiled
-def _reaches(planes: F64, sides: int, box: F64) -> bool:
+def _is_inside(planes: F64, sides: int, box: F64) -> bool:
     """Returns whether a box is at least partly in front of every plane."""
     for k in range(sides):
         x, y, z = planes[k, 0], planes[k, 1], planes[k, 2]
@@ -239,7 +239,7 @@ def _reaches(planes: F64, sides: int, box: F64) -> bool:
 
 @compiled
 def near_plane_touches(closed: ClosedSurfaceTable, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
-    """Returns whether any box touches the near plane of a picture; the arguments are those of ``closed_surfaces.NearPlaneTest``."""
+    """Returns whether any box intersects the near plane of a picture; for the arguments see ``closed_surfaces.NearPlaneTest``."""
     boxes, links, reach = closed.box, closed.link, 0.0
     for c in range(4):
         x, y, z = near_corners[c, 0], near_corners[c, 1], near_corners[c, 2]
@@ -256,10 +256,10 @@ def near_plane_touches(closed: ClosedSurfaceTable, eyes: F64, T_camera_links: F6
         for axis in range(3):
             low, high = np.inf, -np.inf
             for c in range(4):
-                at = 0.0
+                coordinate = 0.0
                 for i in range(3):
-                    at += (near_corners[c, i] - T[i, 3]) * T[i, axis]
-                low, high = min(low, at), max(high, at)
+                    coordinate += (near_corners[c, i] - T[i, 3]) * T[i, axis]
+                low, high = min(low, coordinate), max(high, coordinate)
             touched = touched and low <= box[axis] + box[3 + axis] and high >= box[axis] - box[3 + axis]
         if touched:
             return True
@@ -268,11 +268,11 @@ def near_plane_touches(closed: ClosedSurfaceTable, eyes: F64, T_camera_links: F6
 
 @compiled
 def draw_order(clusters: I64, rules: DrawOrderRules, near_part: float) -> tuple[I64, int, I64, int]:
-    """Returns the draw order of clusters that are given nearest first.
+    """Returns the draw order of clusters sorted nearest first.
 
     Returns:
-        The position in ``clusters`` of each draw; how many of them, the first ones, are opaque; the nearest clusters without holes, about
-        ``near_part`` of all triangles; and the number of all triangles.
+        The position in ``clusters`` of each draw; the number of opaque draws, which come first; the nearest clusters without alpha-tested
+        holes, about the fraction ``near_part`` of all triangles; and the number of all triangles.
     """
     batch_of, has_holes, has_opaque, has_translucent, table = rules
     n, total = len(clusters), 0
@@ -284,7 +284,7 @@ def draw_order(clusters: I64, rules: DrawOrderRules, near_part: float) -> tuple[
             size[batch] += 1
         total += int(table[clusters[i], 0])
     total //= 3
-    # Batches are in the order of their first cluster, but those with holes come after those without.
+    # Batches are sorted by their nearest cluster; batches with alpha-tested holes come after the others.
     begin, drawn = np.zeros(len(has_holes), dtype=np.int64), 0
     for with_holes in (False, True):
         for i in range(n):

@@ -1,1 +1,1 @@
-"""From render targets to frames on the host, and to tensors on the GPU."""
+"""Converts render targets to frames on the host and to tensors on the GPU."""

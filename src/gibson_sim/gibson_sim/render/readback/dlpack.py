@@ -1,6 +1,6 @@
-"""Arrays for any library that reads DLPack (PyTorch, JAX, CuPy, NumPy), without depending on one: address, type, shape and owner.
+"""Arrays for any library that reads DLPack (PyTorch, JAX, CuPy, NumPy), without depending on one of them.
 
-The structures are those of DLPack before version 1, which all of them read. https://dmlc.github.io/dlpack/latest/c_api.html
+Uses the structures of DLPack before version 1, which all these libraries read. https://dmlc.github.io/dlpack/latest/c_api.html
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _Deleter = ctypes.CFUNCTYPE(None, ctypes.POINTER(_ManagedTensor))
 _ManagedTensor._fields_ = (("tensor", _Tensor), ("context", ctypes.c_void_p), ("deleter", _Deleter))
 
 _exported: dict[int, tuple[Any, ...]] = {}
-"""Objects that consumers still use, by the address of the structure: they must not be collected before the deleter is called."""
+"""Objects in use by consumers, by the address of their structure: they must not be collected before the deleter is called."""
 
 
 def _forget(managed: Any) -> None:
@@ -62,7 +62,7 @@ _pointer.restype, _pointer.argtypes = ctypes.c_void_p, (ctypes.c_void_p, ctypes.
 
 
 def _forget_capsule(capsule: int) -> None:
-    # A consumed capsule has another name, and its structure belongs to the consumer.
+    # A consumed capsule has been renamed, and its structure belongs to the consumer.
     if _is_valid(capsule, _NAME):
         _exported.pop(_pointer(capsule, _NAME), None)
 
@@ -71,24 +71,24 @@ _DROP_CAPSULE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_forget_capsule)
 
 
 class Memory:
-    """Memory of a device, freed with the last array that refers to it.
+    """Device memory, freed with the last array that refers to it.
 
     Args:
-        address: of its first byte.
-        device: DLPack's type of the device, and its number.
+        address: address of the first byte.
+        device: DLPack device type and id.
         free: called once with the address.
     """
 
     def __init__(self, address: int, device: tuple[int, int], free: Callable[[int], None]) -> None:
         self.address, self.device = address, device
-        # Not at exit: the process frees everything, and drivers may be unloaded by then.
+        # Not at exit: the process frees all memory, and drivers may already be unloaded.
         weakref.finalize(self, free, address).atexit = False
 
 
 class DeviceArray:
-    """A C-contiguous array in memory of a device. Read it with ``torch.from_dlpack``, ``jax.dlpack.from_dlpack``, ``cupy.from_dlpack``.
+    """A C-contiguous array in device memory. Read it with ``torch.from_dlpack``, ``jax.dlpack.from_dlpack`` or ``cupy.from_dlpack``.
 
-    All earlier work of the device is done: readers need not wait for any stream.
+    All work that writes it has finished: readers need not wait for any stream.
     """
 
     def __init__(self, memory: Memory, offset: int, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
@@ -97,7 +97,7 @@ class DeviceArray:
 
     @property
     def address(self) -> int:
-        """Address of its first element; valid while the array exists."""
+        """Address of the first element; valid while the array exists."""
         return self._memory.address + self._offset
 
     @property
@@ -113,7 +113,7 @@ class DeviceArray:
     ) -> Any:
         if copy or dl_device not in (None, self._memory.device):
             raise BufferError(
-                f"an array on DLPack device {self._memory.device} is handed out there and not as a copy; copy it yourself"
+                f"an array on DLPack device {self._memory.device} can be exported only on this device and not as a copy; copy it yourself"
             )
         managed = _ManagedTensor()
         shape = (ctypes.c_int64 * self.ndim)(*self.shape)

@@ -1,7 +1,7 @@
 """Reads render targets back to memory and converts them to the arrays of a ``Frame``.
 
-``Readback`` reads and waits (``pixel_buffers`` does not wait); ``frame_from_raw`` converts. Conversions are those of ``pack.comp`` on the GPU,
-to the bit.
+``Readback`` reads and waits (``pixel_buffers`` does not wait); ``frame_from_raw`` converts. Results are bit-identical to those of
+``pack.comp`` on the GPU.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from gibson_sim.types import CameraSpec, Frame, Output
 F32 = NDArray[np.float32]
 U16 = NDArray[np.uint16]
 UNIT = np.float32(2.0 / 65535.0)
-"""Normals are stored as fractions of 65535: ``fraction * UNIT - 1``."""
+"""Scale of stored normals, 16-bit normalised integers: the component is ``stored * UNIT - 1``."""
 _ONE = np.float32(1.0)
 BACK_BELOW = 49152
-"""Alpha of normals, of 65535: where it is smaller and above 0 the back of a surface is seen."""
+"""Alpha of normals, of 65535, below which a pixel shows the back of a surface; 0 = no surface."""
 _MAX_ARRAYS = 64
 
 
 @dataclass(frozen=True, slots=True)
 class RawFormat:
-    """How an attachment is read back."""
+    """Pixel format in which an attachment is read back."""
 
     gl_format: int
     gl_type: int
@@ -45,7 +45,7 @@ class RawFormat:
 
 
 RAW_FORMATS: dict[str, RawFormat] = {
-    # Drivers store and copy four bytes a pixel at once: dropping alpha on the host takes far less time than their conversion.
+    # Drivers copy RGBA without conversion: dropping alpha on the host is far faster than a conversion by the driver.
     "color": RawFormat(GL.RGBA, GL.UNSIGNED_BYTE, np.uint8, 4),
     "depth": RawFormat(GL.DEPTH_COMPONENT, GL.FLOAT, np.float32, 1),
     "LABELS": RawFormat(GL.RG_INTEGER, GL.UNSIGNED_SHORT, np.uint16, 2),
@@ -63,9 +63,9 @@ class TargetImage:
     stamp_ns: int
     T_world_camera: Mat4
     x: int = 0
-    """Column of its left edge in the target."""
+    """Column of the image's left edge in the target."""
     y: int = 0
-    """Row of its top edge."""
+    """Row of the image's top edge in the target."""
 
 
 class Readback:
@@ -73,7 +73,7 @@ class Readback:
 
     def __init__(self, context: GlContext) -> None:
         self._gl = GL.Gl(context)
-        self._memory: dict[tuple[str, int, int], tuple[NDArray[Any], int]] = {}  # with the address
+        self._memory: dict[tuple[str, int, int], tuple[NDArray[Any], int]] = {}  # array and its address
 
     def frames(self, target: RenderTarget, images: Sequence[TargetImage]) -> list[Frame]:
         """Returns the frames of images in a target; the arrays belong to the caller."""
@@ -81,15 +81,15 @@ class Readback:
         return [frame_from_raw(image, raw) for image in images]
 
     def _read(self, target: RenderTarget, name: str) -> NDArray[Any]:
-        """Returns an attachment, (H, W, ...), in memory that the next call reuses."""
+        """Returns an attachment, (H, W, ...), in memory reused by the next call."""
         raw = RAW_FORMATS[name]
         key = (name, target.width, target.height)
         if key not in self._memory:
             if len(self._memory) > _MAX_ARRAYS:
                 self._memory.clear()
             shape = (target.height, target.width) if raw.channels == 1 else (target.height, target.width, raw.channels)
-            made = np.empty(shape, dtype=raw.dtype)
-            self._memory[key] = made, made.ctypes.data
+            array = np.empty(shape, dtype=raw.dtype)
+            self._memory[key] = array, array.ctypes.data
         out, address = self._memory[key]
         gl = self._gl
         gl.glBindFramebuffer(GL.FRAMEBUFFER, target.framebuffer)
@@ -100,12 +100,12 @@ class Readback:
 
 
 def frame_from_raw(image: TargetImage, raw: dict[str, NDArray[Any]]) -> Frame:
-    """Returns the frame of an image, copied from attachments as they were read.
+    """Returns the frame of an image, copied from raw attachments.
 
     Args:
-        image: which image.
+        image: the image.
         raw: "color" (H, W, 4) uint8; "depth" (H, W) float32, near / depth, 0 = nothing; "LABELS" (H, W, 2) uint16; "NORMALS"
-            (H, W, 4) uint16, fractions; "FLOW" (H, W, 2) float32. Row 0 = top.
+            (H, W, 4) uint16, normalised; "FLOW" (H, W, 2) float32. Row 0 = top.
     """
     camera = image.camera
     outputs = camera.outputs
@@ -135,7 +135,7 @@ def frame_from_raw(image: TargetImage, raw: dict[str, NDArray[Any]]) -> Frame:
 
 
 def needed(target: RenderTarget, images: Sequence[TargetImage]) -> list[str]:
-    """Returns the attachments of a target that the frames of its images are made from."""
+    """Returns the attachments of a target required for the frames of its images."""
     attachments = [_attachments_of(image.camera.outputs) for image in images]
     return [name for name in ("color", "depth", *target.features) if any(name in names for names in attachments)]
 
@@ -146,7 +146,7 @@ def _attachments(outputs: tuple[Output, ...]) -> frozenset[str]:
 
 
 _attachments_of = IdentityCache(_attachments)
-"""The attachments that outputs are made from."""
+"""Returns the attachments required for outputs."""
 
 
 def depth_of(raw: F32, near: float, far: float, *, loops: bool = CAN_COMPILE) -> F32:
@@ -154,16 +154,16 @@ def depth_of(raw: F32, near: float, far: float, *, loops: bool = CAN_COMPILE) ->
 
     Args:
         raw: (H, W), near / depth, 0 = nothing.
-        near: metres.
-        far: metres.
-        loops: by compiled loops.
+        near: depth of the near plane, metres.
+        far: largest depth, metres.
+        loops: use compiled loops.
     """
     nearest, least = np.float32(near), np.float32(near) / np.float32(far)
     if loops:
         return _depth_loop(fixed(raw), nearest, least)
     with np.errstate(divide="ignore"):
         depth: F32 = nearest / raw
-    # Few images show anything beyond: checking that first is quicker than selecting for each pixel.
+    # Few images have pixels beyond ``far``: testing the minimum first is faster than selecting for each pixel.
     if float(raw.min()) < least:
         depth[raw < least] = np.inf
     return depth
@@ -183,12 +183,12 @@ def normals_of(raw: U16, *, loops: bool = CAN_COMPILE) -> F32:
     """Returns unit normals, (H, W, 3), 0 = nothing.
 
     Args:
-        raw: (H, W, 4), fractions of 65535; the fourth is 0 where nothing is.
-        loops: by compiled loops.
+        raw: (H, W, 4), normalised 16-bit integers; alpha is 0 where there is no surface.
+        loops: use compiled loops.
     """
     if loops:
         return _normals_loop(fixed(raw))
-    # One conversion, then arithmetic in place: half the time of a multiplication that converts.
+    # One conversion, then in-place arithmetic, takes half the time of a multiplication that converts.
     normals = cv2.cvtColor(raw, cv2.COLOR_RGBA2RGB).astype(np.float32)
     normals *= UNIT
     normals -= _ONE
@@ -210,11 +210,11 @@ def _normals_loop(raw: U16) -> F32:
 
 
 def hole_of(raw: U16, *, loops: bool = CAN_COMPILE) -> NDArray[np.uint8]:
-    """Returns what is seen, (H, W), as ``filling.holes`` numbers it.
+    """Returns the class of each pixel, (H, W) uint8, a constant of ``filling.holes``.
 
     Args:
-        raw: (H, W, 4) normals, fractions of 65535; alpha is 0 where no surface is, and red tells then whether that is a hole.
-        loops: by compiled loops.
+        raw: (H, W, 4) normals, normalised 16-bit integers; where there is no surface alpha is 0, and red is 0 in holes.
+        loops: use compiled loops.
     """
     if loops:
         return _hole_loop(fixed(raw))
@@ -237,20 +237,20 @@ def _hole_loop(raw: U16) -> NDArray[np.uint8]:
 
 
 def positions_of(rays: F32, depth: F32, R: F32, t: F32, *, loops: bool = CAN_COMPILE) -> F32:
-    """Returns the world positions of pixels, (H, W, 3), metres, float32, summed from left to right; NaN = nothing is there.
+    """Returns the world positions of pixels, (H, W, 3), metres, float32, summed from left to right; NaN = nothing.
 
     Args:
         rays: (H, W, 3), points at depth 1 in the optical frame.
         depth: (H, W), metres, +inf = nothing.
         R: (3, 3), R_world_camera.
-        t: (3,), the camera in the world, metres.
-        loops: by compiled loops.
+        t: (3,), position of the camera in the world, metres.
+        loops: use compiled loops.
     """
     if loops:
         return _positions_loop(fixed(rays), fixed(depth), fixed(R), fixed(t))
-    with np.errstate(invalid="ignore"):  # 0 times infinity: straight ahead, and nothing there
-        seen = rays * depth[:, :, None]
-    position = rotated(R, seen, loops=False) + t
+    with np.errstate(invalid="ignore"):  # 0 times infinity: the optical axis, and no surface
+        optical = rays * depth[:, :, None]
+    position = rotated(R, optical, loops=False) + t
     position[~np.isfinite(depth)] = np.nan
     return position
 
@@ -272,7 +272,7 @@ def _positions_loop(rays: F32, depth: F32, R: F32, t: F32) -> F32:
 
 
 def rotated(R: F32, vectors: F32, *, loops: bool = CAN_COMPILE) -> F32:
-    """Returns ``R v`` of vectors, (H, W, 3), float32, summed from left to right: what a GPU computes, to the bit."""
+    """Returns ``R v`` of vectors, (H, W, 3), float32, summed from left to right: bit-identical to the GPU."""
     if loops:
         return _rotated_loop(fixed(R), fixed(vectors))
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -296,5 +296,5 @@ def _rotated_loop(R: F32, vectors: F32) -> F32:
 
 @lru_cache(maxsize=64)
 def rays_f32(camera: CameraSpec) -> NDArray[np.float32]:
-    """Returns the point at depth 1 of each pixel in the optical frame, (H, W, 3); NaN = nothing is seen there."""
+    """Returns the point at depth 1 of each pixel in the optical frame, (H, W, 3); NaN = outside the field of view."""
     return projections.rays(camera).astype(np.float32)

@@ -1,7 +1,7 @@
 """Converts render targets to the arrays of a ``Frame`` on the GPU: one compute pass for any number of cameras, into one buffer.
 
-The values equal those of ``frames`` to the bit. Arrays follow each other in the buffer, each row by row from the top of the image,
-without gaps between rows, as tensors need it.
+The values are bit-identical to those of ``frames``. The buffer holds one array after the other, each C-contiguous, row 0 = top, as tensors
+require.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from gibson_sim.render.readback.pixel_buffers import GlBuffer
 from gibson_sim.types import CameraSpec, Output
 
 ORDER: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow", "hole")
-"""The order of ``Job.first`` in shaders/pack.comp."""
+"""Order of the outputs in ``Job.first`` of shaders/pack.comp."""
 DTYPES: dict[Output, tuple[type[np.generic], int]] = {
     "rgb": (np.uint8, 3), "depth": (np.float32, 1), "semantic": (np.uint16, 1), "instance": (np.uint16, 1),
     "normal": (np.float32, 3), "normal_world": (np.float32, 3), "position": (np.float32, 3), "flow": (np.float32, 2),
     "hole": (np.uint8, 1),
 }  # fmt: skip
-"""Type and channels of each array, as in ``Frame``."""
+"""Element type and number of channels of each array, as in ``Frame``."""
 
 _JOB = np.dtype(
     [
@@ -44,13 +44,13 @@ _JOB = np.dtype(
         ("", "<u4"),
     ]
 )
-_LEFT_OUT = 0xFFFFFFFF
+_NOT_REQUESTED = 0xFFFFFFFF
 _Optics = tuple[Any, ...]
 _ALIGNMENT = 256
 _VIEWS: dict[str, tuple[int, int]] = {
     "color": (0, GL.RGBA8UI), "depth": (1, 0), "LABELS": (2, 0), "NORMALS": (3, GL.RGBA16UI), "FLOW": (4, GL.RG32UI),
 }  # fmt: skip
-"""Texture unit, and the integer format of a view of the same bytes (0 = the texture itself is bound)."""
+"""Texture unit, and integer format of a texture view of the same bytes (0 = the texture itself is bound)."""
 _ALL_BARRIERS = 0xFFFFFFFF
 _JOBS, _PACKED, _RAYS = 5, 6, 7
 _GROUP_PIXELS = 256
@@ -62,40 +62,40 @@ class Stack:
 
     output: Output
     cameras: tuple[int, ...]
-    """Numbers of the cameras, ascending."""
+    """Indices of the cameras, ascending."""
     offset: int
-    """Bytes to the first array."""
+    """Offset of the first array, bytes."""
     stride: int
-    """Bytes from one array to the next."""
+    """Distance between the starts of successive arrays, bytes."""
     shape: tuple[int, ...]
-    """Of each array."""
+    """Shape of each array."""
     steps: tuple[int, ...]
-    """Elements from one index to the next, on each axis."""
+    """Strides of each axis, elements."""
     type_name: str
-    """NumPy's and PyTorch's name of the elements' type."""
+    """Name of the element type in NumPy and PyTorch."""
     itemsize: int
-    """Bytes of an element."""
+    """Size of an element, bytes."""
 
     @property
     def nbytes(self) -> int:
-        """How many bytes each array takes."""
+        """Size of each array, bytes."""
         return math.prod(self.shape) * self.itemsize
 
 
 @lru_cache(maxsize=64)
-def layout(makes: tuple[tuple[int, int, tuple[Output, ...]], ...]) -> tuple[tuple[Stack, ...], int]:
+def layout(formats: tuple[tuple[int, int, tuple[Output, ...]], ...]) -> tuple[tuple[Stack, ...], int]:
     """Returns the layout of the packed buffer, and its size in bytes.
 
     Args:
-        makes: width, height and outputs of each camera.
+        formats: width, height and outputs of each camera.
     """
-    alike: dict[tuple[int, int, frozenset[Output]], list[int]] = {}
-    for k, (width, height, outputs) in enumerate(makes):
-        alike.setdefault((width, height, frozenset(outputs)), []).append(k)
+    by_format: dict[tuple[int, int, frozenset[Output]], list[int]] = {}
+    for k, (width, height, outputs) in enumerate(formats):
+        by_format.setdefault((width, height, frozenset(outputs)), []).append(k)
     stacks: list[Stack] = []
     offset = 0
-    for (width, height, requested), cameras in alike.items():
-        pixels = -(-width * height // 4) * 4  # the shader writes four at a time
+    for (width, height, requested), cameras in by_format.items():
+        pixels = -(-width * height // 4) * 4  # the shader writes four pixels at a time
         for output in ORDER:
             if output in requested:
                 kind, channels = DTYPES[output]
@@ -109,7 +109,7 @@ def layout(makes: tuple[tuple[int, int, tuple[Output, ...]], ...]) -> tuple[tupl
 
 
 class Packer:
-    """The compute pass, and its buffer.
+    """The compute pass that packs images, and its buffers.
 
     Args:
         context: it must be current in every call.
@@ -120,8 +120,8 @@ class Packer:
         self._context, self._on_free = context, on_free
         self._gl = GL.Gl(context)
         self.limit = self._gl.integer(GL.MAX_SHADER_STORAGE_BLOCK_SIZE)
-        """Bytes that one call can pack."""
-        self._proven = False
+        """Maximum number of bytes packed by one call."""
+        self._checked = False
         self._shader: moderngl.ComputeShader | None = context.gl.compute_shader(shader_text("pack.comp"))
         self._packed: GlBuffer | None = None
         self._jobs: GlBuffer | None = None
@@ -130,16 +130,19 @@ class Packer:
         self._last_jobs: tuple[tuple[Any, ...], NDArray[np.void]] | None = None
 
     def pack(self, target: RenderTarget, images: Sequence[TargetImage]) -> tuple[GlBuffer, tuple[Stack, ...], int]:
-        """Packs images and returns at once: the buffer (valid until the next call), its layout, and its size in bytes.
+        """Packs images without waiting for the GPU.
+
+        Returns:
+            The buffer, valid until the next call, its layout, and its size in bytes.
 
         Raises:
-            RenderError: closed, or the driver does not have enough memory.
+            RenderError: the packer is closed, or the driver does not have enough memory.
         """
         if self._shader is None:
-            raise RenderError("the packer is closed; make a new one")
+            raise RenderError("the packer is closed; create a new one")
         assert target.samples == 1
-        makes = tuple((s.camera.width, s.camera.height, s.camera.outputs) for s in images)
-        stacks, size = layout(makes)
+        formats = tuple((s.camera.width, s.camera.height, s.camera.outputs) for s in images)
+        stacks, size = layout(formats)
         if size > self.limit:
             raise RenderError(
                 f"{len(images)} images take {size / 1e6:,.0f} MB as tensors, {self._context.device.renderer} packs at most "
@@ -157,30 +160,32 @@ class Packer:
         for binding, buffer in ((_JOBS, self._jobs), (_PACKED, self._packed), (_RAYS, self._ray_buffer)):
             self._gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, binding, 0 if buffer is None else buffer.name)
         views = self._bind(target)
-        most = max(make[0] * make[1] for make in makes)
-        self._shader.run(-(-most // _GROUP_PIXELS), len(images))
+        max_pixels = max(width * height for width, height, _ in formats)
+        self._shader.run(-(-max_pixels // _GROUP_PIXELS), len(images))
         self._gl.glMemoryBarrier(_ALL_BARRIERS)
-        if not self._proven:
-            # Once only: glGetError makes some drivers wait.
+        if not self._checked:
+            # Only once: glGetError makes some drivers wait.
             error = self._gl.glGetError()
             if error:
                 raise RenderError(f"{self._context.device.renderer} cannot pack images (error 0x{error:x}); update its driver")
-            self._proven = True
+            self._checked = True
         for view in views:
             self._gl.delete("glDeleteTextures", view)
         return self._packed, stacks, size
 
     def _bind(self, target: RenderTarget) -> list[int]:
-        """Binds the textures, with views of the bytes of those that OpenGL would decode; returns the names of the views."""
+        """Binds the textures, those that OpenGL would decode through integer views of their bytes; returns the names of the views."""
         gl = self._gl
         views: list[int] = []
-        for name, (unit, form) in _VIEWS.items():
+        for name, (unit, view_format) in _VIEWS.items():
             texture = target.textures.get(name, 0)
-            if texture and form:
+            if texture and view_format:
                 view = gl.create("glGenTextures")
-                gl.glTextureView(view, GL.TEXTURE_2D, texture, form, 0, 1, 0, 1)
-                for which in (GL.TEXTURE_MIN_FILTER, GL.TEXTURE_MAG_FILTER):
-                    gl.glTextureParameteri(view, which, GL.NEAREST)  # with the default an integer texture is incomplete
+                gl.glTextureView(view, GL.TEXTURE_2D, texture, view_format, 0, 1, 0, 1)
+                for parameter in (GL.TEXTURE_MIN_FILTER, GL.TEXTURE_MAG_FILTER):
+                    gl.glTextureParameteri(
+                        view, parameter, GL.NEAREST
+                    )  # with the default filter an integer texture is incomplete
                 views.append(view)
                 texture = view
             gl.glBindSampler(unit, 0)
@@ -188,28 +193,28 @@ class Packer:
         return views
 
     def _table(self, images: Sequence[TargetImage], stacks: Sequence[Stack]) -> NDArray[np.void]:
-        """Returns the job of each image. All but the poses is cached while the cameras stay the same."""
+        """Returns the job of each image. Everything except the poses is cached while the cameras are the same."""
         key = tuple((s.camera.width, s.camera.height, s.camera.outputs, s.camera.near, s.camera.far, s.x, s.y) for s in images)
         if self._last_jobs is None or self._last_jobs[0] != key:
             jobs = np.zeros(len(images), dtype=_JOB)
             jobs["rect"] = [(s.x, s.y, s.camera.width, s.camera.height) for s in images]
             jobs["near"] = [s.camera.near for s in images]
             jobs["least"] = jobs["near"] / np.array([s.camera.far for s in images], dtype=np.float32)
-            jobs["first"] = _LEFT_OUT
+            jobs["first"] = _NOT_REQUESTED
             for stack in stacks:
                 first = (stack.offset + stack.stride * np.arange(len(stack.cameras))) // 4
                 jobs["first"][list(stack.cameras), ORDER.index(stack.output)] = first
             self._last_jobs = (key, jobs)
         jobs = self._last_jobs[1]
         jobs["R_t"] = np.array([s.T_world_camera for s in images])[:, :3]
-        seeing = [(k, _optics(s.camera), s.camera) for k, s in enumerate(images) if "position" in s.camera.outputs]
-        if seeing:
-            self._provide_rays({optics: camera for _, optics, camera in seeing})
-            jobs["ray"][[k for k, _, _ in seeing]] = [self._ray_first[optics] for _, optics, _ in seeing]
+        with_rays = [(k, _optics(s.camera), s.camera) for k, s in enumerate(images) if "position" in s.camera.outputs]
+        if with_rays:
+            self._provide_rays({optics: camera for _, optics, camera in with_rays})
+            jobs["ray"][[k for k, _, _ in with_rays]] = [self._ray_first[optics] for _, optics, _ in with_rays]
         return jobs
 
     def _provide_rays(self, cameras: dict[_Optics, CameraSpec]) -> None:
-        """Uploads the rays of cameras unless they are on the GPU."""
+        """Uploads the rays of cameras unless they are already on the GPU."""
         if cameras.keys() <= self._ray_first.keys():
             return
         tables = [rays_f32(camera).reshape(-1) for camera in cameras.values()]
@@ -228,7 +233,7 @@ class Packer:
             packed.close()
 
     def close(self) -> None:
-        """Frees everything; a second call does nothing. The context must be current."""
+        """Frees all GPU resources; a second call does nothing. The context must be current."""
         self._free_packed()
         for buffer in (self._jobs, self._ray_buffer):
             if buffer is not None:
@@ -240,5 +245,5 @@ class Packer:
 
 
 def _optics(camera: CameraSpec) -> _Optics:
-    """Returns all that the rays of a camera depend on: cameras with equal optics share them."""
+    """Returns the fields that the rays of a camera depend on; cameras with equal optics share rays."""
     return (camera.width, camera.height, camera.projection, camera.fov_y, camera.fov, camera.matrix, camera.distortion)

@@ -1,7 +1,7 @@
-"""Reads images back without waiting: the GPU copies into pixel buffers while the caller goes on, and a fence signals the end of the copy.
+"""Asynchronous readback: the GPU copies images into pixel buffers while the caller continues, and a fence signals the end of the copy.
 
-``start`` requests the copy and returns at once; ``finish`` waits for its fence and returns the arrays. Each copy has a buffer of its own,
-so several may be pending. A software renderer has no copy engine: there it costs the same as reading at once.
+``start`` requests the copy and returns immediately; ``finish`` waits for its fence and returns the arrays. Each copy has a separate buffer,
+so several may be pending. A software renderer has no copy engine and gains nothing.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _ALREADY_SIGNALED, _TIMEOUT_EXPIRED, _CONDITION_SATISFIED = 0x911A, 0x911B, 0x91
 _WAIT_NS = 1_000_000_000
 _WAITS = 60
 _MAX_FREE = 8
-"""Free buffers that are kept."""
+"""Maximum number of cached free buffers."""
 _ALIGNMENT = 256
-"""Bytes; enough for every driver."""
+"""Alignment of images in a buffer, bytes; enough for every driver."""
 
 
 class GlBuffer:
@@ -36,8 +36,8 @@ class GlBuffer:
 
     Args:
         context: it must be current in every call.
-        size: bytes.
-        usage: ``GL.STREAM_READ`` if the host reads it, ``GL.DYNAMIC_COPY`` if only the GPU does.
+        size: size, bytes.
+        usage: ``GL.STREAM_READ`` if the host reads it, ``GL.DYNAMIC_COPY`` if only the GPU reads it.
 
     Raises:
         RenderError: the driver does not have enough memory.
@@ -48,48 +48,50 @@ class GlBuffer:
         self._gl = GL.Gl(context)
         self._gl.glGetError()
         self.name = self._gl.create("glCreateBuffers")
-        """OpenGL's name of the buffer."""
+        """OpenGL name of the buffer."""
         self._gl.glNamedBufferData(self.name, size, None, usage)
         if self._gl.glGetError():
             self.close()
-            raise RenderError(f"{context.device.renderer} has no {size / 1e6:.1f} MB for images; ask for smaller or fewer ones")
+            raise RenderError(
+                f"{context.device.renderer} cannot allocate {size / 1e6:.1f} MB for images; request smaller or fewer images"
+            )
 
     def write(self, data: NDArray[Any]) -> None:
-        """Writes data to its start."""
+        """Writes data to the start of the buffer."""
         assert data.nbytes <= self.size
         self._gl.glNamedBufferSubData(self.name, 0, data.nbytes, np.ascontiguousarray(data).ctypes.data)
 
     def map(self) -> int:
-        """Returns the address at which the host can read it until ``unmap``; waits for the GPU."""
+        """Maps the buffer for reading by the host until ``unmap`` and returns its address; waits for the GPU."""
         address = self._gl.glMapNamedBufferRange(self.name, 0, self.size, _MAP_READ)
         if not address:
             raise RenderError(f"the driver cannot map {self.size} bytes (error 0x{self._gl.glGetError():x})")
         return int(address)
 
     def unmap(self) -> None:
-        """Returns it to the GPU."""
+        """Unmaps the buffer."""
         self._gl.glUnmapNamedBuffer(self.name)
 
     def close(self) -> None:
-        """Frees it; a second call does nothing."""
+        """Frees the buffer; a second call does nothing."""
         if self.name:
             self._gl.delete("glDeleteBuffers", self.name)
             self.name = 0
 
 
 class ReadRequest:
-    """A pending copy. ``PixelBuffers.finish`` may be called with it once."""
+    """A pending copy, to be passed to ``PixelBuffers.finish`` once."""
 
     def __init__(self, buffer: GlBuffer, fence: int, images: tuple[tuple[str, int, tuple[int, ...]], ...]) -> None:
         self.buffer = buffer
         self.fence: int | None = fence
-        """OpenGL's fence; None once finished."""
+        """OpenGL fence; None after the request has finished."""
         self.images = images
         """Name, offset in bytes and shape of each image."""
 
 
 class PixelBuffers:
-    """Reads targets back while the caller goes on.
+    """Reads targets back asynchronously.
 
     Args:
         context: it must be current in every call.
@@ -102,10 +104,10 @@ class PixelBuffers:
         self._pending: list[ReadRequest] = []
 
     def start(self, target: RenderTarget, attachments: Sequence[str] | None = None) -> ReadRequest:
-        """Requests a copy of what has been drawn so far and returns at once; the target may be drawn into again.
+        """Requests a copy of the target's current content without waiting; the target may be drawn into again.
 
         Args:
-            target: what to read, with one sample a pixel.
+            target: target to read, with one sample per pixel.
             attachments: names of its textures; None = all.
         """
         names = tuple(attachments) if attachments is not None else tuple(target.textures)
@@ -123,14 +125,14 @@ class PixelBuffers:
             if name != "depth":
                 gl.glNamedFramebufferReadBuffer(target.framebuffer, GL.COLOR_ATTACHMENT0 + ATTACHMENT[name])
             gl.glReadPixels(0, 0, target.width, target.height, raw.gl_format, raw.gl_type, offset)
-        # If it stayed bound, the address of later reads to host memory would be an offset in this buffer.
+        # With the buffer bound, addresses of later reads to host memory would be interpreted as offsets in it.
         gl.glBindBuffer(GL.PIXEL_PACK_BUFFER, 0)
         request = ReadRequest(buffer, int(gl.glFenceSync(_SYNC_GPU_COMMANDS_COMPLETE, 0)), images)
         self._pending.append(request)
         return request
 
     def done(self, request: ReadRequest) -> bool:
-        """Returns whether ``finish`` would not have to wait."""
+        """Returns whether ``finish`` would return without waiting."""
         return request.fence is None or self._wait(request.fence, 0) != _TIMEOUT_EXPIRED
 
     def finish(self, request: ReadRequest) -> dict[str, NDArray[Any]]:
@@ -140,19 +142,19 @@ class PixelBuffers:
         ``NORMALS`` (H, W, 4) uint16; ``FLOW`` (H, W, 2) float32.
 
         Raises:
-            RenderError: the request is finished already, or the GPU does not answer.
+            RenderError: the request has already finished, or the GPU does not respond.
         """
         with self._mapped(request) as images:
             return {name: image.copy() for name, image in images.items()}
 
     def frames(self, request: ReadRequest, images: Sequence[TargetImage]) -> list[Frame]:
-        """Returns the frames of images in a target of which at least the attachments that they need were read. For errors see ``finish``."""
+        """Returns the frames of images whose ``needed`` attachments were read. For errors see ``finish``."""
         with self._mapped(request) as raw:
             return [frame_from_raw(image, raw) for image in images]
 
     @contextmanager
     def _mapped(self, request: ReadRequest) -> Iterator[dict[str, NDArray[Any]]]:
-        """Waits for the images and gives access to them in the mapped buffer; the request is finished."""
+        """Waits for the images and yields them in the mapped buffer; the request is finished."""
         if request.fence is None:
             raise RenderError("these images were fetched already, or their pixel buffers are closed; start a new read")
         self._wait_for(request.fence)
@@ -160,20 +162,20 @@ class PixelBuffers:
         memory = memoryview((ctypes.c_uint8 * request.buffer.size).from_address(request.buffer.map()))
         try:
             yield {
-                name: np.frombuffer(memory, RAW_FORMATS[name].dtype, math.prod(shape), at).reshape(shape)
-                for name, at, shape in request.images
+                name: np.frombuffer(memory, RAW_FORMATS[name].dtype, math.prod(shape), offset).reshape(shape)
+                for name, offset, shape in request.images
             }
         finally:
             request.buffer.unmap()
             self._free.append(request.buffer)
 
     def _acquire(self, size: int) -> GlBuffer:
-        """Returns a free buffer of this size."""
+        """Returns a free buffer of exactly this size, or a new one."""
         fitting = [b for b in self._free if b.size == size]
         if fitting:
             self._free.remove(fitting[-1])
             return fitting[-1]
-        # Sizes change with the cameras: buffers of old sizes are freed.
+        # Sizes change with the cameras, so buffers of old sizes are freed.
         while len(self._free) > _MAX_FREE:
             self._free.pop(0).close()
         return GlBuffer(self._context, size, GL.STREAM_READ)
@@ -183,13 +185,13 @@ class PixelBuffers:
 
     def _wait_for(self, fence: int) -> None:
         for _ in range(_WAITS):
-            answer = self._wait(fence, _WAIT_NS)
-            if answer in (_ALREADY_SIGNALED, _CONDITION_SATISFIED):
+            status = self._wait(fence, _WAIT_NS)
+            if status in (_ALREADY_SIGNALED, _CONDITION_SATISFIED):
                 return
-            if answer != _TIMEOUT_EXPIRED:
+            if status != _TIMEOUT_EXPIRED:
                 break
         raise RenderError(
-            f"{self._context.device.renderer} does not finish drawing (0x{answer:x}); was the GPU reset? start again"
+            f"{self._context.device.renderer} does not finish drawing (status 0x{status:x}); was the GPU reset? start again"
         )
 
     def _retire(self, request: ReadRequest) -> None:
@@ -200,7 +202,7 @@ class PixelBuffers:
             self._pending.remove(request)
 
     def close(self) -> None:
-        """Frees everything, pending copies too; a second call does nothing."""
+        """Frees all buffers, including those of pending copies; a second call does nothing."""
         for request in list(self._pending):
             self._retire(request)
             self._free.append(request.buffer)
@@ -210,11 +212,11 @@ class PixelBuffers:
 
 
 class PendingFrames:
-    """Frames that are drawn and being read back: start the next ones before calling ``result`` of these.
+    """Frames that are being drawn and read back; start the next frames before calling ``result``.
 
     Args:
-        context: where they were drawn.
-        buffers: what reads them.
+        context: context of the frames.
+        buffers: pixel buffers that read them.
         reads: for each target, its request, its images, and the position of each image in the result.
     """
 
@@ -225,7 +227,7 @@ class PendingFrames:
         self._frames: list[Frame] | None = None
 
     def done(self) -> bool:
-        """Returns whether ``result`` would not have to wait."""
+        """Returns whether ``result`` would return without waiting."""
         self._context.make_current()
         return self._frames is not None or all(self._buffers.done(request) for request, _, _ in self._reads)
 
@@ -233,10 +235,10 @@ class PendingFrames:
         """Returns the frames, in the order of the cameras; waits for the GPU the first time."""
         if self._frames is None:
             self._context.make_current()
-            found: dict[int, Frame] = {}
+            frames: dict[int, Frame] = {}
             for request, images, numbers in self._reads:
-                found.update(zip(numbers, self._buffers.frames(request, images), strict=True))
-            self._frames = [found[k] for k in sorted(found)]
+                frames.update(zip(numbers, self._buffers.frames(request, images), strict=True))
+            self._frames = [frames[k] for k in sorted(frames)]
         return self._frames
 
 

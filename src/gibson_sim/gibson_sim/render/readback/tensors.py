@@ -1,13 +1,13 @@
-"""Frames as tensors: on the GPU that drew them if CUDA is available, without a copy through the host; else on the CPU.
+"""Frames as tensors: on the rendering GPU if CUDA is available, without a copy through the host; else on the CPU.
 
-The kind of tensor depends on what is installed, never on the images:
+The type of tensor depends on the installed packages, never on the images:
 
 * NVIDIA GPU, ``cuda-bindings``, PyTorch with CUDA: ``torch.Tensor`` on that GPU;
 * NVIDIA GPU, ``cuda-bindings``: ``DeviceArray``, which JAX, CuPy and others read by DLPack;
 * else PyTorch: ``torch.Tensor`` on the CPU;
 * else NumPy arrays, which support DLPack too.
 
-All values are those of ``Frame``. PyTorch is optional; it is loaded here, lazily, because only it can allocate its tensors.
+All values equal those of ``Frame``. PyTorch is optional and imported lazily, because only PyTorch can allocate its tensors.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TensorFrame:
-    """What one camera saw at one tick, in tensors that belong to the caller. Shapes, types and values are those of ``Frame``.
+    """The images of one camera at one tick, in tensors that belong to the caller. Shapes, types and values are those of ``Frame``.
 
-    The tensors of one call share one piece of memory, which is freed with the last of them.
+    The tensors of one call share one block of memory, which is freed with the last of them.
     """
 
     camera: CameraSpec
     stamp_ns: int
     T_world_camera: NDArray[np.float64]
-    """(4, 4), optical frame, on the host."""
+    """(4, 4), pose of the optical frame, on the host."""
     rgb: Any = None
     """(height, width, 3) uint8."""
     depth: Any = None
@@ -64,14 +64,14 @@ class TensorFrame:
 
 
 class Tensors:
-    """Makes tensors of images that are drawn in one context.
+    """Converts images drawn in one context to tensors.
 
     Args:
-        context: where they are drawn; it must be current in every call.
-        driver: CUDA; None = NVIDIA's if it is available.
+        context: context of the images; it must be current in every call.
+        driver: CUDA functions; None = NVIDIA's CUDA if it is available.
 
     Raises:
-        GraphicsUnavailableError: CUDA is available and the GPU is NVIDIA's, yet CUDA does not list it.
+        GraphicsUnavailableError: CUDA is available and the context is on an NVIDIA GPU, but CUDA does not list it.
     """
 
     def __init__(self, context: GlContext, driver: CudaDriver | None = None) -> None:
@@ -85,23 +85,23 @@ class Tensors:
         cuda = self._torch is not None and driver is not None and _has_device(self._torch, self._link, driver)
         self._allocates = self._torch if cuda else None
         self.device = "cpu" if self._link is None else f"cuda:{self._link.device.ordinal}"
-        """Device of the tensors, as PyTorch names it."""
+        """Device of the tensors, in PyTorch's notation."""
 
     @property
     def on_gpu(self) -> bool:
-        """Whether to use ``of_target``; else ``of_frames``."""
+        """Whether tensors are on the GPU, so that ``of_target`` is used; otherwise ``of_frames`` is used."""
         return self._link is not None
 
     def of_target(self, target: RenderTarget, images: Sequence[TargetImage]) -> list[TensorFrame]:
         """Returns the images of a target as tensors on the GPU.
 
-        With PyTorch the call does not wait for the GPU: the tensors are ready in the order of its current stream, like all its results.
+        With PyTorch the call does not wait for the GPU: the tensors are ready in the order of PyTorch's current stream.
 
         Raises:
-            RenderError: closed, or the GPU is out of memory.
+            RenderError: the object is closed, CUDA is not available, or the GPU is out of memory.
         """
         if self._packer is None or self._link is None:
-            raise RenderError("there is no CUDA here, or the tensors are closed; make them of frames")
+            raise RenderError("CUDA is not available, or the tensors are closed; use of_frames")
         if not images:
             return []
         buffer, stacks, size = self._packer.pack(target, images)
@@ -116,22 +116,22 @@ class Tensors:
                     arrays[k][stack.output] = array
         else:
             driver = self._link.driver
-            owned = Memory(driver.allocate(size), (driver.dlpack_type, self._link.device.ordinal), driver.free)
-            self._link.copy(buffer, size, owned.address)
+            block = Memory(driver.allocate(size), (driver.dlpack_type, self._link.device.ordinal), driver.free)
+            self._link.copy(buffer, size, block.address)
             driver.synchronize(0)
             for stack in stacks:
                 for i, k in enumerate(stack.cameras):
                     arrays[k][stack.output] = DeviceArray(
-                        owned, stack.offset + i * stack.stride, np.dtype(stack.type_name), stack.shape
+                        block, stack.offset + i * stack.stride, np.dtype(stack.type_name), stack.shape
                     )
         return [TensorFrame(s.camera, s.stamp_ns, s.T_world_camera, **a) for s, a in zip(images, arrays, strict=True)]
 
     def of_frames(self, frames: Sequence[Frame]) -> list[TensorFrame]:
-        """Returns frames as tensors on the CPU, which share their memory."""
+        """Returns frames as tensors on the CPU that share the frames' memory."""
         return [tensors_of_frame(frame, self._torch) for frame in frames]
 
     def close(self) -> None:
-        """Frees everything but the callers' tensors; a second call does nothing. The context must be current."""
+        """Frees everything except the callers' tensors; a second call does nothing. The context must be current."""
         packer, link, self._packer, self._link = self._packer, self._link, None, None
         if packer is not None:
             packer.close()
@@ -140,7 +140,7 @@ class Tensors:
 
 
 def tensors_of_frame(frame: Frame, torch: Any = None) -> TensorFrame:
-    """Returns a frame as tensors on the CPU, which share its memory: PyTorch's if given, else its own NumPy arrays."""
+    """Returns a frame as tensors on the CPU that share its memory: PyTorch tensors if ``torch`` is given, else its NumPy arrays."""
     arrays = {name: getattr(frame, name) for name in ORDER if getattr(frame, name) is not None}
     if torch is not None:
         arrays = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
@@ -154,7 +154,7 @@ def _import_torch() -> Any:
     except ImportError:
         return None
     if not hasattr(torch, "uint16"):
-        _log.warning("PyTorch %s has no uint16: images are handed out by DLPack instead; install 2.3 or later", torch.__version__)
+        _log.warning("PyTorch %s has no uint16: images are exported by DLPack instead; install 2.3 or later", torch.__version__)
         return None
     return torch
 
@@ -166,12 +166,12 @@ def _cuda_of(context: GlContext) -> CudaDriver | None:
     try:
         return CudaPython()
     except GraphicsUnavailableError as e:
-        _log.warning("tensors are made on the CPU: %s", e)
+        _log.warning("tensors are on the CPU: %s", e)
         return None
 
 
 def _has_device(torch: Any, link: CudaLink | None, driver: CudaDriver) -> bool:
-    """Returns whether this PyTorch can allocate on the CUDA device: builds for the CPU alone cannot."""
+    """Returns whether the installed PyTorch can allocate on the CUDA device; CPU-only builds cannot."""
     return link is not None and (_torch_device(link).type == "cpu" or bool(torch.cuda.is_available()))
 
 
@@ -182,7 +182,7 @@ def _torch_device(link: CudaLink) -> Any:
 
 
 def _torch_views(memory: Any, stacks: Sequence[Stack], torch: Any) -> Iterator[tuple[Stack, Sequence[Any]]]:
-    """Returns the tensors of each stack, sliced in few calls: with several calls for each of many images these would dominate."""
+    """Yields the tensors of each stack, sliced in a few calls: several calls for each of many images would dominate the time."""
     whole = {name: memory.view(getattr(torch, name)) for name in {stack.type_name for stack in stacks}}
     for stack in stacks:
         item = stack.itemsize

@@ -1,7 +1,7 @@
 // Adds a weighted picture to an average, in linear light.
 uniform sampler2D u_color;
 uniform float u_weight;
-uniform int u_shift;  // rows from the average to the picture
+uniform int u_shift;  // row offset from the average to the picture
 
 layout(location = 0) out vec4 out_color;
 

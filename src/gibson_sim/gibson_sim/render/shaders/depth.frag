@@ -1,2 +1,2 @@
-// Writes depth only.
+// Writes only depth.
 void main() {}

@@ -1,12 +1,11 @@
-// Effects of a real camera: vignetting of the lens, exposure, sensor noise, white balance, in this order. Everything is linear; the
-// target is sRGB.
+// Effects of a real camera: vignetting, exposure, sensor noise, white balance, in this order, in linear light; the target is sRGB.
 uniform sampler2D u_color;
-uniform ivec2 u_origin;           // column and row in it at which the image begins
-uniform float u_exposure;         // factor
+uniform ivec2 u_origin;           // column and row of the image's top left corner in u_color
+uniform float u_exposure;         // exposure factor
 uniform mat3 u_white_balance;
 uniform mat3 u_ray_from_pixel;    // K inverse
-uniform float u_vignette;         // part of the light that is lost where the fourth power of the cosine is 0
-uniform vec2 u_variance;          // of the noise: without light, and added at full white
+uniform float u_vignette;         // fraction of light lost where the fourth power of the cosine is 0
+uniform vec2 u_variance;          // variance of the noise without light, and its increase at full white
 uniform uvec2 u_key;              // random key of the image
 
 layout(location = 0) out vec4 out_color;
@@ -21,7 +20,7 @@ float cosine_to_axis(vec2 pixel) {
 }
 
 #ifdef NOISE
-// Four independent numbers from four: pcg4d of Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9 (3), 2020.
+// Returns four independent random numbers: pcg4d of Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9 (3), 2020.
 uvec4 hash(uvec4 v) {
     v = v * 1664525u + 1013904223u;
     for (int round = 0; round < 2; ++round) {
@@ -34,7 +33,7 @@ uvec4 hash(uvec4 v) {
     return v;
 }
 
-// Three normally distributed numbers (Box and Muller 1958).
+// Returns three standard normal random numbers (Box and Muller 1958).
 vec3 normal_numbers(uvec2 pixel) {
     vec4 uniform_numbers = (vec4(hash(uvec4(pixel, u_key)) >> 9u) + 0.5) / 8388608.0;  // in (0, 1), exact in 24 bits
     vec2 radius = sqrt(-2.0 * log(uniform_numbers.xy));

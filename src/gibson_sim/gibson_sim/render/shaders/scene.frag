@@ -1,4 +1,4 @@
-// Shades a surface and writes the further outputs. The target is sRGB, so everything here is linear.
+// Shades a surface and writes the features. The target is sRGB, so all colours in the shader are linear.
 in vec2 v_uv;
 #ifdef VERTEX_COLORS
 in vec3 v_color;  // linear
@@ -19,7 +19,7 @@ uniform vec4 u_surface;
 uniform vec4 u_emission;
 uniform vec4 u_maps;
 #else
-// Read in the vertex shader: a software renderer is slow at reading buffers for each pixel.
+// Fetched in the vertex shader: software renderers are slow at fetching buffers per pixel.
 flat in vec4 v_base_color;
 flat in vec4 v_surface;
 flat in vec4 v_emission;
@@ -30,7 +30,7 @@ flat in vec4 v_maps;
 uniform sampler2D u_texture;
 #endif
 #ifdef ALPHA_TEST
-uniform bool u_translucent;  // draw the translucent pass, not the opaque one
+uniform bool u_translucent;  // draw the translucent pass instead of the opaque pass
 #endif
 
 layout(location = 0) out vec4 out_color;
@@ -70,8 +70,8 @@ void main() {
     color.rgb = with_appearance(color.rgb, appearances[v_material], v_local);
 #endif
 #ifdef WORLD_NORMAL
-    // Scans are open and wound either way: the side that is seen is the outside. The flat triangle decides which one that is, as it is
-    // wound as its normals say: at a silhouette the smooth normal may point away.
+    // Scans are open and wound either way, so the visible side counts as the outside. It is determined by the winding, which matches the
+    // normals: at a silhouette the smooth normal may point away from the eye.
     vec3 normal = normalize(gl_FrontFacing ? v_normal : -v_normal);
 #endif
 #ifndef UNLIT
@@ -97,7 +97,7 @@ void main() {
     out_label = uvec2(v_label & 0xFFFFu, v_label >> 16);
 #endif
 #ifdef NORMALS
-    // Alpha tells where the back of the static world is seen: hole_of() of readback/frames.py. What moves, and leaves and nets, have two sides.
+    // Alpha marks visible backs of static geometry, see hole_of() in readback/frames.py. Moving and alpha-tested surfaces are two-sided.
 #if defined(MOVING) || defined(ALPHA_TEST)
     float side = 1.0;
 #else

@@ -8,14 +8,14 @@ layout(location = 8) in vec4 in_color;  // linear
 out vec3 v_color;
 #endif
 #ifdef LABELS
-layout(location = 4) in uint in_label;  // semantic class, and instance in the upper half
+layout(location = 4) in uint in_label;  // semantic class in the lower 16 bits, instance in the upper 16 bits
 flat out uint v_label;
 #endif
 
 #ifdef MOVING
 layout(location = 5) in uint in_link;
 layout(location = 6) in uint in_placed_label;     // added to the label of the vertices
-layout(location = 7) in uint in_placed_material;  // likewise
+layout(location = 7) in uint in_placed_material;  // added to the material of the vertices
 struct Link { vec4 x, y, z; };  // rows of T_world_link
 layout(std430, binding = 0) readonly buffer Links { Link links[]; };
 #ifdef FLOW
@@ -30,7 +30,7 @@ out vec3 v_position;  // world frame
 out vec3 v_normal;  // world frame
 #endif
 #ifdef FLOW
-out vec3 v_before;  // clip coordinates x, y, w of the state before
+out vec3 v_before;  // clip coordinates x, y, w in the previous state
 #endif
 #ifdef APPEARANCE
 out vec3 v_local;  // frame of the link, metres
@@ -47,7 +47,7 @@ flat out vec4 v_emission;
 flat out vec4 v_maps;
 #endif
 
-// All programs must compute the same positions to the bit.
+// All programs must compute bit-identical positions.
 invariant gl_Position;
 
 void main() {
@@ -55,8 +55,8 @@ void main() {
     vec3 normal = in_normal;
 #ifdef MOVING
     Link link = links[in_link];
-    vec4 here = vec4(position, 1.0);
-    position = vec3(dot(link.x, here), dot(link.y, here), dot(link.z, here));
+    vec4 local = vec4(position, 1.0);
+    position = vec3(dot(link.x, local), dot(link.y, local), dot(link.z, local));
     normal = vec3(dot(link.x.xyz, normal), dot(link.y.xyz, normal), dot(link.z.xyz, normal));
 #endif
     gl_Position = clip_from_world * vec4(position, 1.0);
@@ -69,8 +69,8 @@ void main() {
 #ifdef FLOW
     vec3 before = position;
 #ifdef MOVING
-    Link then = links_before[in_link];
-    before = vec3(dot(then.x, here), dot(then.y, here), dot(then.z, here));
+    Link link_before = links_before[in_link];
+    before = vec3(dot(link_before.x, local), dot(link_before.y, local), dot(link_before.z, local));
 #endif
     v_before = (clip_from_world_before * vec4(before, 1.0)).xyw;
 #endif

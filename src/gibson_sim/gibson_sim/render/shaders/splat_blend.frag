@@ -1,4 +1,4 @@
-// Puts the splats over the picture.
+// Composites the splats over the picture.
 uniform sampler2D u_splats;  // premultiplied, sRGB
 layout(location = 0) out vec4 out_color;
 

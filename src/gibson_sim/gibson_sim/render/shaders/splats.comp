@@ -1,5 +1,5 @@
-// Projects splats, one for each invocation (Kerbl et al. 2023): centre, extent and plane of depth in the picture, and colour. SH_DEGREE is
-// that of the spherical harmonics.
+// Projects splats, one per invocation (Kerbl et al. 2023): centre, extent and depth plane in the picture, and colour. SH_DEGREE is the degree
+// of the spherical harmonics.
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Bodies { vec4 bodies[]; };     // position, opacity; covariance xx xy xz yy, yz zz - -
@@ -58,18 +58,18 @@ void main() {
     mat3x2 across = J * covariance;
     mat2 extent = across * transpose(J);
 
-    // The low-pass, and the Cholesky factor: any factor spans a parallelogram of the same area around the ellipse.
+    // Low-pass filter and Cholesky factor: any factor spans a parallelogram of the same area around the ellipse.
     float a = sqrt(extent[0][0] + LOW_PASS);
     float b = extent[0][1] / a;
     float c = sqrt(max(extent[1][1] + LOW_PASS - b * b, 1e-6));
 
-    // The mean depth of the splat along the ray of a pixel, by its covariance with the position in the picture: a plane for flat splats.
+    // Mean depth of the splat along the ray of a pixel, from its covariance with the position in the picture: a plane for flat splats.
     float depth = near * inverse;
     vec2 with_depth = across[2] * (-depth * inverse);
     vec2 slope = vec2(with_depth.x / a, 0.0);
     slope.y = (with_depth.y - b * slope.x) / c;
 
-    // Never beyond infinity, nor before the eye, at a corner of the parallelogram.
+    // Keeps the depth at the corners of the parallelogram finite and in front of the eye.
     float reach = sqrt(2.0 * log(255.0 * body.w));
     slope *= min(1.0, 0.7 * depth / max(reach * length(slope), 1e-20));
 

@@ -1,4 +1,4 @@
-// A Gaussian, premultiplied.
+// Shades a Gaussian; the output is premultiplied.
 in vec2 v_at;
 flat in vec4 v_color;
 layout(location = 0) out vec4 out_color;

@@ -1,4 +1,4 @@
-// A parallelogram around each splat.
+// Expands each splat to a parallelogram.
 layout(location = 0) in vec4 in_centre;
 layout(location = 1) in vec4 in_factor;
 layout(location = 2) in vec4 in_slope;
