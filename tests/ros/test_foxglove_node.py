@@ -197,10 +197,10 @@ def test_what_is_no_message_reaches_no_node_and_ends_nothing(server: Launched, l
         for text in (b"{", b"[1]", b'{"linear": 3}', b'{"speed": 1}'):
             await client.publish(odd, text)
         wanted = (
-            "bytes are no geometry_msgs/msg/Twist",
+            "bytes are not a geometry_msgs/msg/Twist",
             "type 'no_such_msgs/msg/Thing' is not installed",
             "no JSON",
-            "no such field",
+            "this field does not exist",
         )
         await client.until(lambda: all(any(w in text for text in client.warnings) for w in wanted), "warnings")
 

@@ -86,7 +86,7 @@ def test_parameters_are_read_and_changed() -> None:
     code, text = _run("param", "set", "/physics", "step_hz", "1000")
     assert code == 1 and "Setting parameter failed" in text
     _run("param", "set", "/physics", "rate", "1.0")
-    assert _run("param", "get", "physic", "rate") == (1, "error: there is no node '/physic'; did you mean '/physics'?\n")
+    assert _run("param", "get", "physic", "rate") == (1, "error: node '/physic' does not exist; did you mean '/physics'?\n")
 
 
 def test_an_action_makes_steps() -> None:

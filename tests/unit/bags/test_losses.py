@@ -30,8 +30,8 @@ def test_losses_of_a_topic_with_two_publishers_are_unknown() -> None:
     losses = LossCounter()
     losses.add("/a", 1)
     losses.add("/b", 1)
-    losses.note_publishers("/a", 2)
-    losses.note_publishers("/b", 1)
-    losses.note_publishers("/a", 1)
+    losses.set_publisher_count("/a", 2)
+    losses.set_publisher_count("/b", 1)
+    losses.set_publisher_count("/a", 1)
     losses.add("/a", 9)
     assert losses.counts() == {"/b": 0}

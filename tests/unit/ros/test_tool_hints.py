@@ -23,8 +23,8 @@ def _missing(name: str, kind: str, services: dict[str, Any]) -> str:
 
 
 def test_a_wrong_node_is_named_with_the_nearest_node() -> None:
-    assert _missing("/physic/get_parameters", PARAMETERS, SIMULATION) == "there is no node '/physic'; did you mean '/physics'?"
-    assert _missing("/x/get_parameters", PARAMETERS, SIMULATION) == "there is no node '/x'; known: /physics, /render"
+    assert _missing("/physic/get_parameters", PARAMETERS, SIMULATION) == "node '/physic' does not exist; did you mean '/physics'?"
+    assert _missing("/x/get_parameters", PARAMETERS, SIMULATION) == "node '/x' does not exist; known: /physics, /render"
 
 
 def test_a_standard_service_without_a_simulation_says_that_none_runs() -> None:
@@ -37,9 +37,9 @@ def test_a_standard_service_without_a_simulation_says_that_none_runs() -> None:
 
 def test_a_wrong_service_of_a_simulation_suggests_the_nearest() -> None:
     assert (
-        _missing("/spawn_entiti", "", SIMULATION) == "nothing offers the service '/spawn_entiti'; did you mean '/spawn_entity'?"
+        _missing("/spawn_entiti", "", SIMULATION) == "no node offers the service '/spawn_entiti'; did you mean '/spawn_entity'?"
     )
-    assert _missing("/zzz", "", SIMULATION) == "nothing offers the service '/zzz'; see `gibson-sim service list`"
+    assert _missing("/zzz", "", SIMULATION) == "no node offers the service '/zzz'; see `gibson-sim service list`"
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_the_name_of_a_resource_finds_the_entities_that_it_was_spawned_as() -> N
 
 @pytest.mark.parametrize("name", ["/a b", "/a//b", "1x", "/9", "/a{b}", "/a-b", "/a/", "/", "~", "/\u00e4", "a\n"])
 def test_what_is_no_name_in_ros_is_refused_in_one_line(name: str) -> None:
-    with pytest.raises(ConfigError, match="is no name in ROS: letters"):
+    with pytest.raises(ConfigError, match="is not a ROS name: letters"):
         check_name("topic", name)
 
 

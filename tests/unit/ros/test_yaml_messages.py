@@ -54,14 +54,14 @@ def test_a_field_is_found_by_its_path() -> None:
     message = fill(PoseWithCovarianceStamped(), {"pose": {"pose": {"position": {"x": 2}}}})
     assert value_text(field_of(message, "pose.pose.position.x")) == "2.0\n"
     assert value_text(field_of(message, "pose.covariance[3]")) == "0.0\n"
-    with pytest.raises(MessageValueError, match="there is no field 'poze'; known: header, pose"):
+    with pytest.raises(MessageValueError, match="field 'poze' does not exist; known: header, pose"):
         field_of(message, "poze")
 
 
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"heder": {}}, "heder: there is no such field; did you mean 'header'?"),
+        ({"heder": {}}, "heder: this field does not exist; did you mean 'header'?"),
         ({"pose": {"pose": {"position": {"x": "far"}}}}, "pose.pose.position.x is 'far', must be of type double"),
         ({"pose": {"covariance": [1.0]}}, "pose.covariance is"),
         ([1], "must be a mapping with header, pose"),

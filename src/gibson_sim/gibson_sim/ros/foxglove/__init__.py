@@ -1,1 +1,1 @@
-"""What the Foxglove server has of ROS: topics, services and parameters."""
+"""Relays topics, services and parameters of a ROS domain to the Foxglove server."""

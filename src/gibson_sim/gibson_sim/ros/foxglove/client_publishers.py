@@ -1,4 +1,4 @@
-"""What Foxglove clients publish, on ROS topics."""
+"""Publishes the messages of Foxglove clients on ROS topics."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from gibson_sim.web.foxglove_server import JSON, ClientTopic, message_of_json
 
 _DEPTH = 10
 _COMMANDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-"""Types of velocity commands: a robot is stopped when the client that sent them goes."""
+"""Types of velocity commands: a robot is stopped when the client that drives it disconnects."""
 _STOPS = 3
-"""Zero velocities that are sent then."""
+"""Number of zero velocity commands that are published then."""
 
 
 class ClientPublishers:
-    """The publishers of clients; one for each of their channels."""
+    """The publishers of clients, one for each channel."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._publishers: dict[tuple[int, int], tuple[ClientTopic, Any, Any]] = {}
-        """Key -> topic, class of its messages, publisher."""
+        """Key of a channel -> topic, message class, publisher."""
         self._moving: set[tuple[int, int]] = set()
         """Channels whose last velocity command was not zero."""
         self._retired: list[Any] = []
+        """Publishers of closed channels, which are destroyed later."""
 
     def advertise(self, topic: ClientTopic) -> None:
-        """Makes the publisher of a client's channel.
+        """Creates the publisher of a client's channel.
 
         Raises:
             ConfigError: the type is not installed, or the topic exists with another type.
@@ -44,18 +45,18 @@ class ClientPublishers:
             raise ConfigError(
                 f"topic {quoted(topic.name)}: type {quoted(topic.type_name)} is not installed where the Foxglove server runs"
             ) from None
-        except Exception as error:  # rclpy: a name that is no topic's, or a topic that this process knows under another type
+        except Exception as error:  # from rclpy: the topic name is invalid, or this process uses the topic with another type
             raise ConfigError(f"topic {quoted(topic.name)} cannot be published as {topic.type_name}: {error}") from error
         self._publishers[topic.key] = (topic, kind, publisher)
 
     def publish(self, key: tuple[int, int], data: bytes) -> None:
-        """Publishes a message of a client. It is decoded first: what is no message of its type reaches no node.
+        """Publishes a message of a client. It is decoded first, so that no node receives an invalid message.
 
         Raises:
-            ConfigError, MessageValueError: it cannot be decoded.
+            ConfigError, MessageValueError: the message cannot be decoded.
         """
         if key not in self._publishers:
-            return  # its channel was refused
+            return  # the channel was refused
         topic, kind, publisher = self._publishers[key]
         if topic.encoding == JSON:
             message = fill(kind(), message_of_json(data))
@@ -63,13 +64,13 @@ class ClientPublishers:
             try:
                 message = deserialize_message(data, kind)
             except Exception as error:
-                raise ConfigError(f"topic {quoted(topic.name)}: {len(data)} bytes are no {topic.type_name}") from error
+                raise ConfigError(f"topic {quoted(topic.name)}: {len(data)} bytes are not a {topic.type_name}") from error
         if topic.type_name in _COMMANDS:
             (self._moving.add if _is_moving(message) else self._moving.discard)(key)
         publisher.publish(message)
 
     def unadvertise(self, key: tuple[int, int]) -> None:
-        """Ends the publisher of a channel; a robot that it drives is stopped."""
+        """Closes a channel; a robot that it drives is stopped."""
         if key not in self._publishers:
             return
         _, kind, publisher = self._publishers.pop(key)
@@ -80,13 +81,13 @@ class ClientPublishers:
         self._retired.append(publisher)
 
     def clean_up(self) -> None:
-        """Destroys publishers whose clients went before the last call: what they sent last has arrived."""
+        """Destroys publishers of channels that were closed before; called periodically, so that their last messages have arrived."""
         for publisher in self._retired:
             self._node.destroy_publisher(publisher)
         self._retired = []
 
     def close(self) -> None:
-        """Stops every robot that a client drives."""
+        """Closes all channels; robots that clients drive are stopped."""
         for key in list(self._publishers):
             self.unadvertise(key)
 

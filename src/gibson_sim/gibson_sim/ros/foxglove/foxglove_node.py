@@ -28,32 +28,36 @@ from gibson_sim.ros.topics import names
 from gibson_sim.web.foxglove_server import ClientTopic, FoxgloveServer
 from gibson_sim.web.server import LOOPBACK
 
-_LOOK_S = 1.0
-"""Seconds of wall time between two looks at the graph."""
-_CLOCK_S, _WALL_S = 0.02, 0.1
-"""Seconds of wall time between two times that clients get: of a clock, and of this machine where there is none."""
+_GRAPH_PERIOD_S = 1.0
+"""Period of the queries of the ROS graph, s of wall time."""
+_CLOCK_PERIOD_S, _WALL_PERIOD_S = 0.02, 0.1
+"""Periods at which clients receive simulation time, or wall time if there is no /clock, s of wall time."""
 
 
 class FoxgloveNode(Node):
     """Serves the Foxglove WebSocket protocol, for any Foxglove client.
 
     Publishes:
-        Whatever clients publish, if ``commands`` is set. A client that goes while it drives a robot is followed by zero velocities.
+        The messages of clients, if ``commands`` is set. If a client disconnects while it drives a robot, zero velocities are published.
 
     Subscribes:
-        /clock; the topics that clients subscribe to, while they do; /parameter_events while a client watches parameters.
+        /clock; the topics that clients subscribe to; /parameter_events while a client subscribes to parameters.
 
-    Services used: all of the graph, for clients, if ``commands`` is set.
+    Services used: all services of the graph that clients call, if ``commands`` is set.
 
     Parameters: the fields of ``gibson_sim.client_config.FoxgloveConfig``.
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Starts the server. ``kwargs`` go to ``rclpy.node.Node``."""
+        """Starts the server. ``kwargs`` go to ``rclpy.node.Node``.
+
+        Raises:
+            GibsonSimError: a setting is invalid, or the server cannot listen on its address.
+        """
         super().__init__("foxglove", **kwargs)
         self._config = config_from_parameters(self, FoxgloveConfig)
-        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        """What the server's threads want to be done in the node's."""
+        self._calls: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        """Calls that the server's threads have scheduled in the node's thread."""
         self._clock_ns: int | None = None
         self._next_time = 0.0
         definitions = MessageDefinitions()
@@ -74,21 +78,21 @@ class FoxgloveNode(Node):
             print(line, file=sys.stderr, flush=True)
 
     def spin(self) -> int:
-        """Works until the process is asked to end; returns the exit code."""
+        """Serves until the end of the process is requested; returns the exit code."""
         executor = make_executor()
         executor.add_node(self)
-        next_look = 0.0
+        next_update = 0.0
         while is_running():
             executor.spin_once(timeout_sec=0.02)
-            while not self._asked.empty():
-                self._asked.get()()
+            while not self._calls.empty():
+                self._calls.get()()
             now = time.monotonic()
             if self._clock_ns is None and now >= self._next_time:
-                self._next_time = now + _WALL_S
+                self._next_time = now + _WALL_PERIOD_S
                 self._server.send_time(self._now_ns())
-            if now >= next_look:
-                next_look = now + _LOOK_S
-                self._look()
+            if now >= next_update:
+                next_update = now + _GRAPH_PERIOD_S
+                self._update()
         return 0
 
     def close(self) -> None:
@@ -97,9 +101,9 @@ class FoxgloveNode(Node):
         self.relayed_services.close()
         self._server.close()
 
-    def do_soon(self, function: Callable[[], None]) -> None:
-        """Has a function called in the node's thread; may be called from any. What it refuses is shown to clients."""
-        self._asked.put(partial(self._guarded, function))
+    def call_soon(self, function: Callable[[], None]) -> None:
+        """Schedules a call in the node's thread; thread-safe. Clients are shown the GibsonSimErrors that it raises."""
+        self._calls.put(partial(self._guarded, function))
 
     def _guarded(self, function: Callable[[], None]) -> None:
         try:
@@ -108,8 +112,8 @@ class FoxgloveNode(Node):
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             self._server.warn(str(error))
 
-    def _look(self) -> None:
-        """Offers what the graph has now."""
+    def _update(self) -> None:
+        """Updates the offered topics and services from the ROS graph."""
         if self._clock_ns is not None and not self.count_publishers(names.CLOCK):
             self._clock_ns = None
             self._server.new_session()
@@ -119,71 +123,71 @@ class FoxgloveNode(Node):
         self.publishers_of_clients.clean_up()
 
     def _now_ns(self) -> int:
-        """Returns simulation time where there is a clock, else that of this machine, nanoseconds."""
+        """Returns simulation time if there is a /clock, otherwise wall time, ns."""
         return self.get_clock().now().nanoseconds if self._clock_ns is None else self._clock_ns
 
     def _on_clock(self, data: bytes) -> None:
-        began = self._clock_ns is None
+        is_first = self._clock_ns is None
         self._clock_ns = stamp_ns(data)
-        if began:
+        if is_first:
             self._server.new_session()
         now = time.monotonic()
-        if began or now >= self._next_time:
-            self._next_time = now + _CLOCK_S
+        if is_first or now >= self._next_time:
+            self._next_time = now + _CLOCK_PERIOD_S
             self._server.send_time(self._clock_ns)
 
 
 class _Backend:
-    """Hands what clients ask for to the node's thread."""
+    """Forwards requests of clients to the node's thread."""
 
     def __init__(self, node: FoxgloveNode) -> None:
         self._node = node
 
     def subscribed(self, topic: str) -> None:
-        self._node.do_soon(lambda: self._node.relayed_topics.subscribe(topic))
+        self._node.call_soon(lambda: self._node.relayed_topics.subscribe(topic))
 
     def unsubscribed(self, topic: str) -> None:
-        self._node.do_soon(lambda: self._node.relayed_topics.unsubscribe(topic))
+        self._node.call_soon(lambda: self._node.relayed_topics.unsubscribe(topic))
 
     def advertised(self, topic: ClientTopic) -> None:
-        self._node.do_soon(lambda: self._node.publishers_of_clients.advertise(topic))
+        self._node.call_soon(lambda: self._node.publishers_of_clients.advertise(topic))
 
     def unadvertised(self, key: tuple[int, int]) -> None:
-        self._node.do_soon(lambda: self._node.publishers_of_clients.unadvertise(key))
+        self._node.call_soon(lambda: self._node.publishers_of_clients.unadvertise(key))
 
     def received(self, key: tuple[int, int], data: bytes) -> None:
-        self._node.do_soon(lambda: self._node.publishers_of_clients.publish(key, data))
+        self._node.call_soon(lambda: self._node.publishers_of_clients.publish(key, data))
 
     def call(self, service: str, request: bytes) -> Future[bytes]:
         answer: Future[bytes] = Future()
-        self._node.do_soon(lambda: self._node.relayed_services.call(service, request, answer))
+        self._node.call_soon(lambda: self._node.relayed_services.call(service, request, answer))
         return answer
 
     def get_parameters(self, names: list[str]) -> Future[dict[str, Any]]:
         answer: Future[dict[str, Any]] = Future()
-        self._node.do_soon(lambda: self._node.relayed_parameters.get(names, answer))
+        self._node.call_soon(lambda: self._node.relayed_parameters.get(names, answer))
         return answer
 
     def set_parameters(self, values: dict[str, Any]) -> Future[dict[str, Any]]:
         answer: Future[dict[str, Any]] = Future()
-        self._node.do_soon(lambda: self._node.relayed_parameters.set(values, answer))
+        self._node.call_soon(lambda: self._node.relayed_parameters.set(values, answer))
         return answer
 
     def watch_parameters(self, watched: bool) -> None:
-        self._node.do_soon(lambda: self._node.relayed_parameters.watch(watched))
+        self._node.call_soon(lambda: self._node.relayed_parameters.watch(watched))
 
 
 def opening_lines(url: str, config: FoxgloveConfig) -> list[str]:
-    """Returns what is printed at the start: the address, and who can use it."""
+    """Returns the lines that are printed at the start: the address, and who has access."""
     rights = "read and command everything" if config.commands else "read everything"
-    how = f"open https://app.foxglove.dev or the desktop app, `Open connection`, `Foxglove WebSocket`, {url}"
+    instructions = f"open https://app.foxglove.dev or the desktop app, `Open connection`, `Foxglove WebSocket`, {url}"
     if config.host in LOOPBACK:
-        who = f"every program of this machine, and every web page in a browser on it, can {rights}"
-        return [f"foxglove: {url} ({who}: the protocol has no password)", f"foxglove: {how}"]
-    advice = "" if config.commands is False else "; `--no-commands` lets them only look"
+        access = f"every program of this machine, and every web page in a browser on it, can {rights}"
+        return [f"foxglove: {url} ({access}: the protocol has no password)", f"foxglove: {instructions}"]
+    advice = "" if config.commands is False else "; `--no-commands` makes access read-only"
     return [
         f"foxglove: {url}",
-        f"foxglove: {how}",
+        f"foxglove: {instructions}",
         f"warning: every machine that reaches {config.host} port {url.rpartition(':')[2]} can {rights}: the protocol has no password{advice}",
     ]
 

@@ -1,4 +1,4 @@
-"""The topics of the ROS graph as channels of the Foxglove server: bytes as they are, received while a client subscribes and no longer."""
+"""Relays topics of the ROS graph to channels of the Foxglove server: serialized messages, subscribed to only while a client is."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from gibson_sim.web.foxglove_server import FoxgloveServer, TopicInfo
 
 _LARGE = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2")
 _DEPTH, _LARGE_DEPTH = 100, 2
-"""Lengths of queues, messages. A lost image matters less than one that comes late."""
+"""Queue lengths of subscriptions, messages; short for large messages, since a lost image matters less than a late one."""
 
 
 class RelayedTopics:
-    """Subscribes for clients.
+    """Subscribes to topics for clients.
 
     Args:
-        node: subscribes.
-        server: gets the messages.
-        definitions: of the types.
-        now_ns: returns the time of the clock that clients see, nanoseconds.
+        node: node of the subscriptions.
+        server: server that gets the messages.
+        definitions: definitions of the message types.
+        now_ns: returns the time shown to clients, ns.
     """
 
     def __init__(self, node: Node, server: FoxgloveServer, definitions: MessageDefinitions, now_ns: Callable[[], int]) -> None:
@@ -35,35 +35,37 @@ class RelayedTopics:
         self._known: dict[str, TopicInfo] = {}
         self._subscriptions: dict[str, Any] = {}
         self._unknown: set[str] = set()
-        """Types that are not installed here."""
+        """Types that are not installed."""
 
     def update(self) -> None:
-        """Offers the topics that have publishers now."""
-        found = {}
+        """Offers the topics that have publishers now to clients."""
+        topics = {}
         for name, types in self._node.get_topic_names_and_types():
             if names.is_hidden(name) or not self._node.count_publishers(name):
                 continue
             info = self._info(name, types)
             if info is not None:
-                found[name] = info
-        if found != self._known:
-            self._known = found
-            self._server.serve_topics(found.values())
+                topics[name] = info
+        if topics != self._known:
+            self._known = topics
+            self._server.serve_topics(topics.values())
 
     def _info(self, name: str, types: list[str]) -> TopicInfo | None:
-        """Returns what clients are told of a topic; None, with one warning for each type, where its type is not installed."""
-        for type_name in types:  # several where nodes disagree: the first that is known here
+        """Returns the description of a topic for clients; None, with one warning per type, if its type is not installed."""
+        for type_name in types:  # several if nodes disagree: uses the first installed one
             try:
                 message_class(type_name)
                 return TopicInfo(name, type_name, self._definitions.full_text(type_name))
             except (*UNKNOWN, GibsonSimError):
                 if type_name not in self._unknown:
                     self._unknown.add(type_name)
-                    self._node.get_logger().warning(f"topics of type {type_name} are not served: the type is not installed here")
+                    self._node.get_logger().warning(
+                        f"topics of type {type_name} are not served: the type is not installed where the Foxglove server runs"
+                    )
         return None
 
     def subscribe(self, topic: str) -> None:
-        """Subscribes to a topic; anew for a further client of a latched one, which gets its last message by that."""
+        """Subscribes to a topic; for another client of a latched topic it subscribes again, so that the client gets the last message."""
         if topic in self._subscriptions and not self._is_latched(topic):
             return
         self.unsubscribe(topic)
@@ -83,7 +85,7 @@ class RelayedTopics:
 
     @property
     def subscribed(self) -> frozenset[str]:
-        """Topics that are subscribed to."""
+        """Topics with a subscription."""
         return frozenset(self._subscriptions)
 
     def _on_message(self, topic: str, data: bytes) -> None:
@@ -94,7 +96,7 @@ class RelayedTopics:
         return bool(publishers) and all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
 
     def _profile(self, info: TopicInfo) -> QoSProfile:
-        """Returns a profile that all publishers of a topic match: as latched as they are; reliable if they are, but for large messages."""
+        """Returns the strictest QoS profile that matches all publishers of a topic, but best effort for large messages."""
         publishers = self._node.get_publishers_info_by_topic(info.name)
         reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
         large = info.type_name in _LARGE

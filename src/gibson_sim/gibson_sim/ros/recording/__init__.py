@@ -1,1 +1,1 @@
-"""Input and output of bags: subscriptions that receive raw messages, and a thread that writes."""
+"""Input and output of bags: subscriptions that receive serialized messages, and a thread that writes."""

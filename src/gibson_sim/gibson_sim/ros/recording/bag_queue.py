@@ -1,4 +1,4 @@
-"""Writes to a bag in a thread of its own, which also encodes the images, while the next ones are drawn."""
+"""Writes to a bag in a separate thread, which also encodes images while the next ones are rendered."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from gibson_sim.ros.wire.exact_bytes import exact_bytes
 from gibson_sim.ros.wire.fast_publish import image_to_bytes
 from gibson_sim.types import Frame
 
-MOST_WAITING = 4
-"""Greatest number of calls of ``put`` in the queue: a few frames, and the messages recorded between them."""
+MAX_QUEUED = 4
+"""Maximum number of calls of ``put`` in the queue: a few frames, and the messages recorded between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Raw:
-    """One message as bytes."""
+class RawItem:
+    """One serialized message."""
 
     topic: str
     data: bytes
     log_ns: int
+    """Time in the bag, ns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A frame of one camera, to be converted to messages."""
+class FrameItem:
+    """A frame of one camera, which is converted to messages when it is written."""
 
     messages: CameraMessages
     topics: dict[str, str]
@@ -39,21 +40,22 @@ class Picture:
     frame: Frame
     T_target_camera: Mat4 | None
     log_ns: int
+    """Time in the bag, ns."""
 
 
-Item = Raw | Picture
+Item = RawItem | FrameItem
 
 
 class BagQueue:
-    """Writes items in the order of ``put``. It is a context manager, whose end waits until all are written.
+    """Writes items in the order of ``put``. A context manager, whose exit waits until all items are written.
 
     Args:
-        bag: with all topics declared; nothing else may write to it meanwhile.
+        bag: bag with all topics declared; only the queue may write to it meanwhile.
     """
 
     def __init__(self, bag: BagWriter) -> None:
         self._bag = bag
-        self._items: Queue[Sequence[Item] | None] = Queue(MOST_WAITING)
+        self._items: Queue[Sequence[Item] | None] = Queue(MAX_QUEUED)
         self._error: GibsonSimError | None = None
         self._ended = False
         self._thread = threading.Thread(target=self._run, name="bag-writer", daemon=True)
@@ -72,7 +74,7 @@ class BagQueue:
     def _run(self) -> None:
         while (items := self._items.get()) is not None:
             if self._error is not None:
-                continue  # ``put`` must not block for ever
+                continue  # ``put`` must not block forever
             try:
                 for item in items:
                     self._write(item)
@@ -80,7 +82,7 @@ class BagQueue:
                 self._error = error
 
     def _write(self, item: Item) -> None:
-        if isinstance(item, Raw):
+        if isinstance(item, RawItem):
             self._bag.write(item.topic, item.data, item.log_ns, item.log_ns)
             return
         kinds, stamp_ns = frozenset(item.topics), item.frame.stamp_ns
@@ -90,7 +92,7 @@ class BagQueue:
             self._bag.write(item.topics[kind], message, item.log_ns, item.log_ns)
 
     def close(self) -> None:
-        """Waits until everything is written, and raises the first error; a second call does nothing."""
+        """Waits until all items are written, and raises the first error; a second call does nothing."""
         if not self._ended:
             self._ended = True
             self._items.put(None)

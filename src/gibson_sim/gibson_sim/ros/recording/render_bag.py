@@ -1,7 +1,7 @@
 """Renders a recorded run again from its recorded states, without physics and without DDS: ``gibson-sim render``.
 
 It is a separate program with its settings as JSON: ``python -m gibson_sim.ros.recording.render_bag '{"bag": {...}, "render": {...}}'``.
-Topics, types, quality of service and stamps are those of the render node. It uses message types, but never ``rclpy.init``.
+Topics, types, QoS and stamps are those of the render node. It uses message types, but never calls ``rclpy.init``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from gibson_sim.resources import find_config
 from gibson_sim.ros import conversions
 from gibson_sim.ros.nodes.node_main import end_with_parent, keep_large_blocks
 from gibson_sim.ros.nodes.renderer_factory import open_renderer
-from gibson_sim.ros.recording.bag_queue import BagQueue, Item, Picture, Raw
+from gibson_sim.ros.recording.bag_queue import BagQueue, FrameItem, Item, RawItem
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.camera_messages import REGISTERED, REGISTERED_INFO, CameraMessages
 from gibson_sim.ros.topics.camera_transforms import TF_TYPE, CameraTransforms, ViewTransforms
@@ -62,10 +62,15 @@ _DURABILITIES = ("transient_local", "volatile")
 
 
 def render_bag(job: RenderBagConfig, render: RenderConfig, advance: Advance = no_progress) -> Summary:
-    """Renders a bag into a new one.
+    """Renders the cameras of a recorded run into a new bag.
+
+    Args:
+        job: settings of the bags and the cameras.
+        render: settings of the renderer.
+        advance: called with the progress, 0 to 1.
 
     Raises:
-        GibsonSimError: the bag has nothing to draw, a setting is impossible, a file is missing, or the disk is full.
+        GibsonSimError: the bag has nothing to render, a setting is invalid, a file is missing, or the disk is full.
     """
     with BagReader(job.bag) as bag, _Rendering(bag, job, render, advance) as rendering:
         return rendering.run()
@@ -76,24 +81,24 @@ class Summary:
     """Statistics of a rendered bag."""
 
     images: int
-    """Images of all cameras; all outputs of a camera at one stamp count once."""
+    """Number of images of all cameras; all outputs of a camera at one stamp count once."""
     outputs: int
-    """Images of all outputs."""
+    """Number of images of all outputs."""
     cameras: tuple[str, ...]
     run_s: float
     """Duration of the recorded run, s of simulation time."""
     wall_s: float
-    """Wall time for drawing and writing, without loading the scene, s."""
+    """Wall time of rendering and writing, without loading the scene, s."""
     skipped_states: int
-    """States at which a camera was due, but whose scene is not in the bag."""
+    """Number of states at which a camera was due, but whose scene is not in the bag."""
 
     def text(self) -> str:
         """Returns one line for the user."""
         speed = self.run_s / self.wall_s if self.wall_s else 0.0
-        lost = f", {self.skipped_states} states skipped: the bag lacks their scene" if self.skipped_states else ""
+        skipped = f", {self.skipped_states} states skipped: the bag lacks their scene" if self.skipped_states else ""
         return (
             f"{self.images} images ({self.outputs} pictures) of {', '.join(self.cameras)}: {self.run_s:.2f} s of the run in "
-            f"{self.wall_s:.2f} s, {speed:.2f} times real time{lost}"
+            f"{self.wall_s:.2f} s, {speed:.2f} times real time{skipped}"
         )
 
 
@@ -105,11 +110,11 @@ class _Rendering:
         self._renderer: Renderer | None = None
         self._frame_history: FrameHistory | None = None
         self._loaded: DrawnScene | None = None
-        """The loaded scene as it was recorded."""
+        """The loaded scene as recorded."""
         self._drawn: DrawnScene | None = None
-        """The loaded scene as it is drawn."""
+        """The loaded scene as rendered."""
         self._started = 0.0
-        """When drawing began, monotonic clock, s."""
+        """Monotonic time at which rendering started, s."""
         self._topics = scene_topics(bag)
         begin_ns, end_ns = bag.span_ns
         self._begin_ns = begin_ns + round(job.begin * NS_PER_S)
@@ -124,10 +129,10 @@ class _Rendering:
         """Cameras of the setting ``cameras``; they replace the recorded ones."""
         self._requested_views: tuple[View, ...] = read_views(job.views, job.wanted_view_size(), job.view_rate)
         self._views: dict[int, Views] = {}
-        """Revision of a scene -> its views."""
+        """Scene revision -> views of the scene."""
         self._floor: FloorExtent | None = None
         self._recorded: dict[int, DrawnScene] = {}
-        """Revision -> the newest scene so far, as recorded."""
+        """Scene revision -> newest scene with it so far, as recorded."""
         self._read_scenes()
         self._copied = topics_to_copy(bag.topics(), job.copy, self._topics)
         self._cameras = self._all_cameras()
@@ -139,7 +144,7 @@ class _Rendering:
         self._due_as_recorded = not (job.cameras or self._requested_views or job.rate or job.interpolate)
         self._pending: _PendingFrames | None = None
         self._after_pending: list[Item] = []
-        """Items to be written after the frames that are still being drawn."""
+        """Items to write after the pending frames."""
         self._images = self._outputs = self._skipped = 0
 
     def _read_scenes(self) -> None:
@@ -159,37 +164,37 @@ class _Rendering:
         """Sets the views of a scene."""
         if self._requested_views:
             cameras = () if self._job.cameras else scene.cameras
-            known = replace(scene, cameras=(*cameras, *self._added_cameras))
-            # A drawn scene does not tell which of its bodies are robots, but their links come first.
+            with_cameras = replace(scene, cameras=(*cameras, *self._added_cameras))
+            # A drawn scene does not mark the robots among its bodies, but their links come first.
             first = next((link for link in scene.links if "/" in link), "")
             self._views[scene.revision] = Views(
-                self._requested_views, known, first.partition("/")[0], lambda: self._floor_of(scene)
+                self._requested_views, with_cameras, first.partition("/")[0], lambda: self._floor_of(scene)
             )
 
     def _floor_of(self, scene: DrawnScene) -> FloorExtent:
-        """Returns the extent of the floor; it is measured once."""
+        """Returns the extent of the floor, which is computed once."""
         if self._floor is None:
             self._floor = extent_of_drawn(with_local_files(scene, self._render.asset_folders())[0])
         return self._floor
 
     def _cameras_of(self, scene: DrawnScene) -> tuple[CameraSpec, ...]:
-        """Returns the cameras to draw in a scene: those whose link exists, and the views."""
+        """Returns the cameras to render in a scene: those whose link exists, and the views."""
         changes: dict[str, Any] = {}
         if self._job.rate:
             changes["rate_hz"] = self._job.rate
         if outputs := self._job.wanted_outputs():
             changes["outputs"] = outputs
         cameras = self._added_cameras or (() if self._job.cameras else scene.cameras)
-        there = [camera for camera in cameras if camera.link in ("", *scene.links)]
+        present = [camera for camera in cameras if camera.link in ("", *scene.links)]
         if scene.revision in self._views:
-            there += self._views[scene.revision].cameras
-        return tuple(replace(camera, **changes) for camera in there)
+            present += self._views[scene.revision].cameras
+        return tuple(replace(camera, **changes) for camera in present)
 
     def _all_cameras(self) -> dict[str, CameraMessages]:
-        """Returns camera name -> its ``CameraMessages``."""
+        """Returns camera name -> ``CameraMessages`` of the camera."""
         cameras = {camera.name: camera for scene in self._recorded.values() for camera in self._cameras_of(scene)}
         if not cameras:
-            raise ConfigError(f"bag {self._bag.folder} has no cameras of its own; add some with --cameras")
+            raise ConfigError(f"bag {self._bag.folder} has no cameras; add some with --cameras")
         registrations = self._render.registrations()
         for name in {*registrations, *registrations.values()} - set(cameras):
             raise ConfigError(f"setting 'register_depth' names camera {quoted(name)}; there are: {', '.join(cameras)}")
@@ -199,13 +204,13 @@ class _Rendering:
         }
 
     def _kinds_of(self, messages: CameraMessages) -> dict[str, str]:
-        """Returns kind -> topic of the messages that are written for a camera."""
+        """Returns kind of message -> topic of the messages that are written for a camera."""
         outputs = messages.camera.outputs
         kinds = {*outputs, *(f"{output}_info" for output in outputs), REGISTERED, REGISTERED_INFO}
         return {kind: self._topics.prefix + topic for kind, _, topic in messages.topics() if kind in kinds}
 
     def run(self) -> Summary:
-        """Renders the whole bag."""
+        """Renders the bag from begin to end."""
         definitions = definitions_of(c for c in self._bag.connections if c.msgtype not in (SCENE_TYPE, STATE_TYPE))
         with BagWriter(
             self._job.output,
@@ -241,7 +246,7 @@ class _Rendering:
                 bag.add_topic(self._topics.prefix + topic, type_name_of(message_type), qos.LATCHED)
 
     def _messages(self) -> Iterator[tuple[str, int, bytes]]:
-        """Yields the messages between begin and end, after the earlier latched ones, which get the time of the begin."""
+        """Yields topic, log time (ns) and data of the messages between begin and end, after the earlier latched ones, at the begin time."""
         topics = (self._topics.scene, self._topics.state, *self._copied)
         latched = [topic for topic, info in self._bag.topics().items() if info.latched and topic in topics]
         if self._job.begin and latched:
@@ -256,36 +261,36 @@ class _Rendering:
         elif topic == self._topics.state:
             self._on_state(queue, self._bag.decode(STATE_TYPE, data), log_ns)
         else:
-            self._write(queue, [Raw(topic, self._transforms.completed(topic, data), log_ns)])
+            self._write(queue, [RawItem(topic, self._transforms.completed(topic, data), log_ns)])
 
     def _write(self, queue: BagQueue, items: list[Item]) -> None:
-        """Writes items after the frames that are being drawn."""
+        """Writes items after the pending frames."""
         if self._pending is not None:
             self._after_pending += items
         else:
             queue.put(items)
 
     def _write_pending(self, queue: BagQueue) -> None:
-        """Waits for the frames that are being drawn, and writes them and all items after them."""
+        """Waits for the pending frames, and writes them and all items after them."""
         if self._pending is None:
             return
-        pictures: list[Item] = []
+        frame_items: list[Item] = []
         pending, self._pending = self._pending, None
         for frame, messages, T_target_camera in zip(
             pending.frames.result(), pending.messages, pending.T_target_cameras, strict=True
         ):
             kinds = self._kinds[messages.camera.name]
-            pictures.append(Picture(messages, kinds, frame, T_target_camera, pending.log_ns))
+            frame_items.append(FrameItem(messages, kinds, frame, T_target_camera, pending.log_ns))
             self._images += 1
             self._outputs += len(messages.camera.outputs)
-        after, self._after_pending = self._after_pending, []
-        queue.put([*pictures, *after])
+        later_items, self._after_pending = self._after_pending, []
+        queue.put([*frame_items, *later_items])
 
     def _on_scene(self, queue: BagQueue, msg: Any, log_ns: int) -> None:
         scene = self._recorded[msg.revision] = conversions.scene_from_msg(msg)
         self._find_views(scene)
-        sent = conversions.scene_to_msg(self._with_settings(scene), conversions.time_from_msg(msg.header.stamp))
-        self._write(queue, [Raw(self._topics.scene, exact_bytes(sent), log_ns)])
+        new_msg = conversions.scene_to_msg(self._with_settings(scene), conversions.time_from_msg(msg.header.stamp))
+        self._write(queue, [RawItem(self._topics.scene, exact_bytes(new_msg), log_ns)])
 
     def _with_settings(self, scene: DrawnScene) -> DrawnScene:
         """Returns the scene with the requested cameras, lights and appearances."""
@@ -294,7 +299,7 @@ class _Rendering:
         return scene if self._rules is None else randomise(scene, self._job.randomise_seed, self._rules)
 
     def _on_state(self, queue: BagQueue, msg: Any, log_ns: int) -> None:
-        """Writes the state, and draws the cameras that are due at it."""
+        """Writes the state, or interpolated ones up to it, and renders the cameras that are due."""
         scene = self._recorded.get(msg.revision)
         if scene is None:
             self._skipped += bool(len(msg.due_cameras))
@@ -310,14 +315,16 @@ class _Rendering:
             if views is not None:
                 poses = views.poses(moment)
                 moment = views.extended(moment, poses)
-                self._write(queue, [Raw(names.TF, self._view_transforms.message(views.cameras, poses, moment.stamp_ns), log_ns)])
-            written = conversions.scene_state_to_msg(moment, due, getattr(msg, "epoch", 0), getattr(msg, "epoch_step", 0))
-            self._write(queue, [Raw(self._topics.state, serialize_message(written), log_ns)])
+                self._write(
+                    queue, [RawItem(names.TF, self._view_transforms.message(views.cameras, poses, moment.stamp_ns), log_ns)]
+                )
+            new_msg = conversions.scene_state_to_msg(moment, due, getattr(msg, "epoch", 0), getattr(msg, "epoch_step", 0))
+            self._write(queue, [RawItem(self._topics.state, serialize_message(new_msg), log_ns)])
             if due:
                 self._draw(queue, moment, [self._drawn.cameras[k].name for k in due], log_ns)
 
     def _load(self, queue: BagQueue, scene: DrawnScene, stamp_ns: int, log_ns: int) -> None:
-        """Loads a scene, or its changes."""
+        """Loads a scene, or the changes of a loaded one."""
         local, warnings = with_local_files(self._with_settings(scene), self._render.asset_folders())
         if self._renderer is None:
             self._renderer = open_renderer(local, self._render)
@@ -333,11 +340,11 @@ class _Rendering:
         for camera in local.cameras:
             messages = self._cameras[camera.name]
             topics = {output: self._topics.prefix + topic for output, _, topic in messages.label_topics()}
-            labels = [Raw(topics[output], exact_bytes(label), log_ns) for output, label in messages.labels(local, stamp_ns)]
+            labels = [RawItem(topics[output], exact_bytes(label), log_ns) for output, label in messages.labels(local, stamp_ns)]
             self._write(queue, list(labels))
 
     def _draw(self, queue: BagQueue, state: SceneState, cameras: list[str], log_ns: int) -> None:
-        """Starts to draw cameras; meanwhile the frames before are written."""
+        """Starts to render cameras, then writes the previous frames."""
         assert self._frame_history is not None and self._renderer is not None
         messages = [self._cameras[name] for name in cameras]
         specs = [m.to_draw(frozenset(self._kinds[m.camera.name])) for m in messages]
@@ -359,50 +366,50 @@ class _Rendering:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PendingFrames:
-    """Frames that are being drawn."""
+    """Frames that are being rendered."""
 
     frames: PendingFrameSet
     messages: list[CameraMessages]
-    """One for each frame."""
+    """Messages of the camera of each frame."""
     T_target_cameras: list[Mat4 | None]
     log_ns: int
 
 
 def definitions_of(connections: Iterable[Connection]) -> dict[str, str]:
-    """Returns type name -> definition of each message type embedded in a bag, nested types included.
+    """Returns type name -> definition of each message type embedded in a bag, including nested types.
 
-    The bytes of a copied message follow these definitions, whatever versions are installed here.
+    Copied messages are serialized by these definitions, whichever versions are installed.
     """
-    found: dict[str, str] = {}
+    definitions: dict[str, str] = {}
     for connection in connections:
         if connection.msgdef.format != MessageDefinitionFormat.MSG:
             continue
         first, *nested = connection.msgdef.data.split(_SEPARATOR)
-        found[canonical_type(connection.msgtype)] = first.strip() + "\n"
+        definitions[canonical_type(connection.msgtype)] = first.strip() + "\n"
         for part in nested:
             head, _, text = part.strip().partition("\n")
-            found[canonical_type(head.removeprefix("MSG:").strip())] = text.strip() + "\n"
-    return found
+            definitions[canonical_type(head.removeprefix("MSG:").strip())] = text.strip() + "\n"
+    return definitions
 
 
 def offered_qos(connection: Connection) -> TopicQos:
-    """Returns the quality of service that a topic was recorded with; policies that the bag does not have are the defaults."""
+    """Returns the QoS with which a topic was recorded; policies that are not in the bag have their defaults."""
     profiles = connection.ext.offered_qos_profiles if isinstance(connection.ext, ConnectionExtRosbag2) else []
     if not profiles:
         return TopicQos()
     profile, default = profiles[0], TopicQos()
 
-    def word(value: str, known: tuple[str, ...], otherwise: str) -> str:
-        return value.lower() if value.lower() in known else otherwise
+    def policy(value: str, known: tuple[str, ...], fallback: str) -> str:
+        return value.lower() if value.lower() in known else fallback
 
     def nanoseconds(sec: int, nsec: int) -> int:
         return sec * NS_PER_S + nsec or FOREVER_NS
 
     return TopicQos(
-        history=word(profile.history.name, _HISTORIES, default.history),
+        history=policy(profile.history.name, _HISTORIES, default.history),
         depth=profile.depth or default.depth,
-        reliability=word(profile.reliability.name, _RELIABILITIES, default.reliability),
-        durability=word(profile.durability.name, _DURABILITIES, default.durability),
+        reliability=policy(profile.reliability.name, _RELIABILITIES, default.reliability),
+        durability=policy(profile.durability.name, _DURABILITIES, default.durability),
         deadline_ns=nanoseconds(profile.deadline.sec, profile.deadline.nsec),
         lifespan_ns=nanoseconds(profile.lifespan.sec, profile.lifespan.nsec),
     )
@@ -417,7 +424,7 @@ def _load_lights(path: str) -> LightSpec:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Renders a bag with the settings in the only argument, as JSON; ends the process with 1 and one line on stderr for a user's error."""
+    """Renders a bag with the settings in the only argument, as JSON; on a user error, ends the process with 1 and one line on stderr."""
     logging.addLevelName(logging.WARNING, "WARN")
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
     end_with_parent()
@@ -431,7 +438,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"gibson-sim: error: {error}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
-        print("interrupted: the new bag holds everything up to here", file=sys.stderr)
+        print("interrupted: the new bag contains all messages up to now", file=sys.stderr)
         interrupts.die()
     print(f"{job.output}: {summary.text()}")
 

@@ -1,1 +1,1 @@
-"""What ``gibson-sim topic``, ``service``, ``param`` and the short verbs do: the tools of ``ros2`` for machines without them."""
+"""Commands ``gibson-sim topic``, ``service``, ``param``, ``action`` and the short verbs: the tools of ``ros2`` for machines without them."""

@@ -1,4 +1,4 @@
-"""The names of a ROS domain, for a shell that completes a command line: topics, services, actions, nodes, parameters and entities."""
+"""Lists the names of a ROS domain for shell completion: topics, services, actions, nodes, parameters and entities."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ from simulation_interfaces.srv import GetEntities
 from gibson_sim.ros.tools.main import DISCOVERY_S, Tool
 
 _STEADY_S = 0.3
-"""Wall time without a new topic or service after which the graph counts as known, s."""
+"""Time without a new topic or service after which discovery counts as complete, s of wall time."""
 _ANSWER_S = 2.0
-"""Wall time for all services to answer, s. What has not answered is left out."""
+"""Timeout for the responses of all services, s of wall time; late ones are omitted."""
 _LIST, _ENTITIES = "/list_parameters", "/get_entities"
 
 
 def known_names(tool: Tool) -> str:
-    """Returns a JSON object: kind -> names in alphabetical order; ``parameters``: node -> names."""
+    """Returns a JSON object, kind -> names in alphabetical order; ``parameters`` is node -> names."""
     _discover(tool)
     services = tool.known_services()
     nodes = sorted(name.removesuffix(_LIST) for name in services if name.endswith(_LIST))
-    asked = {node: tool.create_client(ListParameters, node + _LIST).call_async(ListParameters.Request()) for node in nodes}
-    listed = [
+    parameters = {node: tool.create_client(ListParameters, node + _LIST).call_async(ListParameters.Request()) for node in nodes}
+    entities = [
         tool.create_client(GetEntities, name).call_async(GetEntities.Request()) for name in services if name.endswith(_ENTITIES)
     ]
-    tool.work(_ANSWER_S, lambda: all(future.done() for future in (*asked.values(), *listed)))
-    found = {
+    tool.spin_until(_ANSWER_S, lambda: all(future.done() for future in (*parameters.values(), *entities)))
+    names = {
         "topics": sorted(tool.known_topics()),
         "services": sorted(services),
         "actions": sorted(name for name, _ in get_action_names_and_types(tool)),
         "nodes": nodes,
-        "entities": sorted(name for future in listed if future.done() for name in future.result().entities),
-        "parameters": {node: sorted(future.result().result.names) for node, future in asked.items() if future.done()},
+        "entities": sorted(name for future in entities if future.done() for name in future.result().entities),
+        "parameters": {node: sorted(future.result().result.names) for node, future in parameters.items() if future.done()},
     }
-    return json.dumps(found)
+    return json.dumps(names)
 
 
 def _discover(tool: Tool) -> None:
-    """Works until the graph, which is more than this node, does not grow any more."""
+    """Spins until the graph contains other nodes and has not changed for ``_STEADY_S``."""
     known: set[str] = set(tool.known_topics()) | set(tool.known_services())
-    own = len(known)
+    initial_count = len(known)
     changed = time.monotonic()
 
-    def steady() -> bool:
+    def is_steady() -> bool:
         nonlocal known, changed
-        now = set(tool.known_topics()) | set(tool.known_services())
-        if now != known:
-            known, changed = now, time.monotonic()
-        return len(known) > own and time.monotonic() - changed > _STEADY_S
+        present = set(tool.known_topics()) | set(tool.known_services())
+        if present != known:
+            known, changed = present, time.monotonic()
+        return len(known) > initial_count and time.monotonic() - changed > _STEADY_S
 
-    tool.work(DISCOVERY_S, steady)
+    tool.spin_until(DISCOVERY_S, is_steady)

@@ -1,4 +1,4 @@
-"""Messages as YAML text, as ``ros2 topic echo`` prints them, and messages from YAML values, as ``ros2 service call`` takes them."""
+"""Converts messages to YAML text, as ``ros2 topic echo`` prints it, and YAML values to messages, as for ``ros2 service call``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 
 SHORT = 128
-"""Elements of an array or characters of a text that are printed; what follows is ``...``, unless all is asked for."""
+"""Maximum number of printed elements of an array or characters of a string; the rest is ``...``, unless ``whole`` is set."""
 _ARRAY = re.compile(r"(?:sequence<(?P<of>[^,>]+)(?:, (?P<bound>\d+))?>|(?P<item>.+)\[(?P<size>\d+)\])$")
 _INTEGER = re.compile(r"(?P<unsigned>u)?int(?P<bits>8|16|32|64)")
 _FLOATS = ("float", "double", "float32", "float64")
@@ -25,11 +25,11 @@ class MessageValueError(GibsonSimError):
 
 
 def yaml_text(message: Any, *, whole: bool = False) -> str:
-    """Returns a message as YAML, one field a line.
+    """Returns a message as YAML, one field per line.
 
     Args:
         message: any message, request or response.
-        whole: print arrays and texts to their end.
+        whole: print whole arrays and strings.
     """
     return "".join(f"{line}\n" for line in _lines(message, "", whole))
 
@@ -38,20 +38,20 @@ def field_of(message: Any, path: str) -> Any:
     """Returns a field, such as ``pose.pose.position.x`` or ``transforms[0]``.
 
     Raises:
-        MessageValueError: there is none; the known ones are named.
+        MessageValueError: the field does not exist; the message names the existing ones.
     """
-    found = message
+    value = message
     for part in re.findall(r"[^.\[\]]+", path):
         if part.isdigit():
-            if int(part) >= len(found):
-                raise MessageValueError(f"{path}: there are {len(found)} elements, no number {part}")
-            found = found[int(part)]
+            if int(part) >= len(value):
+                raise MessageValueError(f"{path}: index {part} is out of range, there are {len(value)} elements")
+            value = value[int(part)]
             continue
-        fields = found.get_fields_and_field_types() if hasattr(found, "get_fields_and_field_types") else {}
+        fields = value.get_fields_and_field_types() if hasattr(value, "get_fields_and_field_types") else {}
         if part not in fields:
-            raise MessageValueError(f"{path}: there is no field {quoted(part)}; known: {', '.join(fields) or 'none'}")
-        found = getattr(found, part)
-    return found
+            raise MessageValueError(f"{path}: field {quoted(part)} does not exist; known: {', '.join(fields) or 'none'}")
+        value = getattr(value, part)
+    return value
 
 
 def value_text(value: Any, *, whole: bool = False) -> str:
@@ -63,9 +63,9 @@ def fill(message: Any, values: Any, where: str = "") -> Any:
     """Sets fields of a message from YAML values, and returns the message.
 
     Args:
-        message: is changed; fields that are not named keep their defaults.
-        values: a mapping, as from YAML.
-        where: path of the message, for errors.
+        message: message to change; fields that are not in ``values`` keep their values.
+        values: mapping of field names to values, as parsed from YAML.
+        where: path of the message, for error messages.
 
     Raises:
         MessageValueError: a field does not exist, or its value has another type.
@@ -79,9 +79,9 @@ def fill(message: Any, values: Any, where: str = "") -> Any:
         )
     for name, value in values.items():
         if name not in types:
-            near = difflib.get_close_matches(str(name), types, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(types) or 'none'}"
-            raise MessageValueError(f"{where}{name}: there is no such field; {hint}")
+            matches = difflib.get_close_matches(str(name), types, n=1)
+            hint = f"did you mean {matches[0]!r}?" if matches else f"known: {', '.join(types) or 'none'}"
+            raise MessageValueError(f"{where}{name}: this field does not exist; {hint}")
         path = f"{where}{name}"
         try:
             setattr(message, name, _converted(value, types[name], getattr(message, name), path))
@@ -91,7 +91,7 @@ def fill(message: Any, values: Any, where: str = "") -> Any:
 
 
 def _converted(value: Any, type_name: str, current: Any, path: str) -> Any:
-    """Returns a value as a field takes it. rclpy checks no values unless it is told to, and a wrong one would end the process."""
+    """Returns a value converted to the type of a field. By default rclpy does not check values, and an invalid one would end the process."""
     match = _ARRAY.match(type_name)
     if match:
         size, bound = match["size"], match["bound"]
@@ -99,9 +99,9 @@ def _converted(value: Any, type_name: str, current: Any, path: str) -> Any:
             raise ValueError
         item = match["of"] or match["item"]
         if "/" in item:
-            make = _class_of(item)
-            return [fill(make(), each, f"{path}[{k}].") for k, each in enumerate(value)]
-        return [_checked(each, item) for each in value]
+            item_class = _class_of(item)
+            return [fill(item_class(), element, f"{path}[{k}].") for k, element in enumerate(value)]
+        return [_checked(element, item) for element in value]
     if hasattr(current, "get_fields_and_field_types"):
         return fill(current, value, f"{path}.")
     return _checked(value, type_name)
@@ -109,8 +109,8 @@ def _converted(value: Any, type_name: str, current: Any, path: str) -> Any:
 
 def _checked(value: Any, type_name: str) -> Any:
     """Returns a value of a primitive type, or raises ValueError."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if type_name in _FLOATS and number:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if type_name in _FLOATS and is_number:
         return float(value)
     if type_name == "boolean" and isinstance(value, bool):
         return value
@@ -161,7 +161,7 @@ def _lines(message: Any, indent: str, whole: bool) -> Iterator[str]:
 
 
 def _plain(value: Any) -> Any:
-    """Returns arrays as lists."""
+    """Returns arrays, tuples and bytes as lists or integers, other values unchanged."""
     if isinstance(value, np.ndarray | array.array | tuple):
         return list(value) if isinstance(value, tuple) else value.tolist()
     if isinstance(value, bytes):
