@@ -153,7 +153,7 @@ def test_two_pages_show_the_same_and_one_drives(page: Any, browser: Any, address
     page.wait_for_timeout(300)
     other.keyboard.down("d")
     other.wait_for_selector("#notes p.bad")
-    assert "another page drives" in other.inner_text("#notes")
+    assert "another page is driving" in other.inner_text("#notes")
     other.keyboard.up("d")
     page.keyboard.up("a")
     other.close()

@@ -49,8 +49,8 @@ def test_a_request_is_read(message: dict[str, object], request_: object) -> None
 @pytest.mark.parametrize(
     ("message", "reason"),
     [
-        ("{", "is no JSON"),
-        ("[" * 4000, "is no JSON"),
+        ("{", "is not JSON"),
+        ("[" * 4000, "is not JSON"),
         ("[]", "must be a JSON object"),
         ('{"type": "reboot"}', "type is 'reboot', must be one of watch"),
         ('{"type": "drive", "linear": NaN}', "linear is nan, must be a number from -10 to 10"),

@@ -39,7 +39,7 @@ class Backend:
     def drive(self, command: Drive) -> None:
         self.commands.append(command)
 
-    def ask(self, request: Request, answer: Answer) -> None:
+    def handle_request(self, request: Request, answer: Answer) -> None:
         self.asked.append(request)
         if isinstance(request, Plot):
             answer(True, "", (10.0, self.history))
@@ -125,7 +125,7 @@ def test_another_web_site_is_refused(server: PageServer) -> None:
 
 
 def test_another_address_needs_a_token(backend: Backend) -> None:
-    with pytest.raises(ConfigError, match="a token is needed"):
+    with pytest.raises(ConfigError, match="a token is required"):
         PageServer(backend, "0.0.0.0")
     server = PageServer(backend, "0.0.0.0", token="correct-horse")
     try:
@@ -150,7 +150,7 @@ def test_what_a_page_asks_for_reaches_the_backend_and_is_answered(server: PageSe
 
     done, refused = _talk(server, talk)
     assert done == {"to": "Time", "ok": True, "text": "done"}
-    assert not refused["ok"] and "is no JSON" in refused["text"]
+    assert not refused["ok"] and "is not JSON" in refused["text"]
     assert backend.asked == [Time("pause")]
 
 
@@ -159,8 +159,8 @@ def test_images_go_to_who_watches_and_only_while_they_do(server: PageServer, bac
         await socket.send_json({"type": "watch", "topics": ["/a"]})
         while not backend.watched:
             await asyncio.sleep(0.005)
-        server.show(Image("/b", 1.0, b"other"))
-        server.show(Image("/a", 2.0, b"jpeg"))
+        server.send_image(Image("/b", 1.0, b"other"))
+        server.send_image(Image("/a", 2.0, b"jpeg"))
         return await socket.receive_bytes()
 
     assert _talk(server, talk).endswith(b"/ajpeg")
@@ -218,13 +218,13 @@ def test_a_second_page_cannot_take_the_robot(server: PageServer, backend: Backen
         driving.cancel()
         return refused
 
-    assert _talk(server, talk)["text"] == "another page drives"
+    assert _talk(server, talk)["text"] == "another page is driving"
     assert Drive(-1.0, 0.0, 0.0) not in backend.commands
 
 
 def test_a_page_that_comes_later_gets_what_is_kept(server: PageServer) -> None:
-    server.tell("map", {"width": 3}, keep=True)
-    server.tell("scan", [1])
+    server.broadcast("map", {"width": 3}, keep=True)
+    server.broadcast("scan", [1])
 
     async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
         return await socket.receive_json()
@@ -235,7 +235,7 @@ def test_a_page_that_comes_later_gets_what_is_kept(server: PageServer) -> None:
 def test_a_page_that_reads_nothing_holds_nobody_up(server: PageServer, backend: Backend) -> None:
     async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
         for number in range(20_000):
-            server.tell("status", {"number": number, "text": "x" * 1000})
+            server.broadcast("status", {"number": number, "text": "x" * 1000})
         async with aiohttp.ClientSession() as session, session.ws_connect(f"http://127.0.0.1:{server.port}/socket") as second:
             await second.send_json({"type": "time", "action": "play"})
             return await _reply(second)
@@ -277,7 +277,7 @@ def test_a_page_gets_the_curves_that_it_plots_and_no_others(server: PageServer, 
     async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
         await socket.send_json({"type": "plot", "curves": [["/a", "x"]]})
         history = await socket.receive_json()
-        server.show_curves(11.0, {("/a", "x"): [(10.5, None)], ("/b", "y"): [(10.5, 3.0)]})
+        server.send_samples(11.0, {("/a", "x"): [(10.5, None)], ("/b", "y"): [(10.5, 3.0)]})
         return history, await socket.receive_json()
 
     history, samples = _talk(server, talk)
@@ -298,21 +298,21 @@ def test_a_page_that_comes_later_gets_the_image_of_this_moment_but_none_of_the_p
             if message.json()["type"] == "reply":
                 return None
 
-    server.show(Image("/a", 5.0, b"jpeg"))
-    server.forget_images(5.1)
+    server.send_image(Image("/a", 5.0, b"jpeg"))
+    server.drop_stale_images(5.1)
     found = _talk(server, first_image)
     assert found is not None and found.endswith(b"/ajpeg")
-    server.forget_images(7.0)
+    server.drop_stale_images(7.0)
     assert _talk(server, first_image) is None
 
 
 def test_a_page_that_asks_without_end_is_told_once() -> None:
     """60 requests at once, and 30 a second after that."""
     page = Page(cast("Any", None), asyncio.Queue())
-    assert [page.may_ask(100.0) for _ in range(70)] == [True] * 60 + [False] * 10
-    assert [page.may_ask(101.0) for _ in range(40)] == [True] * 30 + [False] * 10
+    assert [page.allow_request(100.0) for _ in range(70)] == [True] * 60 + [False] * 10
+    assert [page.allow_request(101.0) for _ in range(40)] == [True] * 30 + [False] * 10
     told = [json.loads(page.queue.get_nowait())["value"]["text"] for _ in range(page.queue.qsize())]
-    assert told == ["too many requests: at most 30 a second are answered"] * 2, "once each time that it begins to"
+    assert told == ["too many requests: at most 30 per second are answered"] * 2, "once each time that it begins to"
 
 
 def test_requests_beyond_the_limit_do_not_reach_the_backend_but_a_drive_does(server: PageServer, backend: Backend) -> None:

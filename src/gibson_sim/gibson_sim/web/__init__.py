@@ -1,1 +1,1 @@
-"""The live page: a browser sees and drives a robot. Knows no ROS; ``ros.web`` feeds it."""
+"""The live page: shows and drives a robot in a browser. Must not import ROS; ``ros.web`` provides the data."""

@@ -1,18 +1,18 @@
-"""The dead man's rule: the robot drives while a page says so several times a second, and stops once it no longer does. Pure."""
+"""Dead man's switch: the robot drives while a page repeats its command, and stops when the repeats end."""
 
 from __future__ import annotations
 
 from gibson_sim.web.requests import Drive
 
 DEADLINE_S = 0.3
-"""Seconds of wall time that a command holds; a page repeats its command every 0.1 s while a key is down."""
+"""Validity of a command, seconds of wall time; a page repeats its command every 0.1 s while a key is down."""
 STOPS = 3
-"""Number of zero commands after the last page let go: one may be lost."""
+"""Number of zero commands published after the release: one may be lost."""
 STANDING = Drive(0.0, 0.0, 0.0)
 
 
 class DeadMan:
-    """Who drives a robot, and what is to be published. The page that drove last has the robot until it stands."""
+    """Dead man's switch of one robot: the driving page and the command to publish. A page holds the robot until its command expires."""
 
     def __init__(self) -> None:
         self._driver: object | None = None
@@ -21,12 +21,12 @@ class DeadMan:
         self._stops = 0
 
     def drive(self, driver: object, command: Drive, now_s: float) -> bool:
-        """Takes a command; returns False where another page drives at this moment.
+        """Accepts a command; returns False if another page is driving.
 
         Args:
-            driver: the page.
-            command: zero = the page lets go.
-            now_s: a clock that never goes back.
+            driver: page that sends the command.
+            command: velocities; zero = the page releases the robot.
+            now_s: time of a monotonic clock, s.
         """
         busy = self._driver is not None and now_s < self._until_s
         if busy and self._driver is not driver:
@@ -38,17 +38,17 @@ class DeadMan:
         return True
 
     def release(self, driver: object) -> None:
-        """Stops the robot if this page drives: it let go, or its connection is lost."""
+        """Stops the robot if this page drives it, after a release or a lost connection."""
         if self._driver is driver:
             self._driver, self._stops = None, STOPS
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is to be published until a page drives."""
+        """Whether no command is to be published until a page drives."""
         return self._driver is None and not self._stops
 
     def due(self, now_s: float) -> Drive | None:
-        """Returns the command to publish now, at 20 Hz; None = none, so that others may drive."""
+        """Returns the command to publish now; called at 20 Hz; None = no command, so that other nodes may drive."""
         if self._driver is not None and now_s >= self._until_s:
             self._driver, self._stops = None, STOPS
         if self._driver is not None:

@@ -1,8 +1,8 @@
-"""The Foxglove WebSocket server, by the package ``foxglove-sdk``. Knows no ROS: a ``FoxgloveBackend`` is told what clients ask for.
+"""The Foxglove WebSocket server, based on the package ``foxglove-sdk``. Must not import ROS: a ``FoxgloveBackend`` handles requests of clients.
 
-Messages, requests and responses are bytes in CDR that pass as they are; what they mean is said by definitions (encoding ``ros2msg``). The
-protocol has no password, and the SDK accepts pages of every web site: whoever reaches the port may read everything, and command everything
-unless ``commands`` is off.
+Messages, requests and responses are CDR bytes that are passed through unchanged; message definitions (encoding ``ros2msg``) describe them. The
+protocol has no authentication, and the SDK accepts pages of any origin: every client that can reach the port can read all data, and can send
+commands unless ``commands`` is off.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from gibson_sim.quoting import quoted
 logger = logging.getLogger(__name__)
 
 CDR, JSON = "cdr", "json"
-"""Encodings of what clients send."""
+"""Encodings of client messages."""
 _DEFINITION = "ros2msg"
 _BACKLOG = 256
-"""Messages that wait for a slow client; beyond it the oldest is dropped."""
+"""Queue length for a slow client; when it is full, the oldest message is dropped."""
 _CALL_S, _PARAMETERS_S = 120.0, 5.0
-"""Longest wall time until a service and the parameters answer, seconds."""
+"""Timeouts for the response of a service and of parameters, seconds of wall time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +35,9 @@ class TopicInfo:
 
     name: str
     type_name: str
-    """``sensor_msgs/msg/Image``."""
+    """Message type such as ``sensor_msgs/msg/Image``."""
     definition: str
-    """Text of the type and of all nested types."""
+    """Definition of the type and of all nested types."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +46,19 @@ class ServiceInfo:
 
     name: str
     type_name: str
-    """``std_srvs/srv/Trigger``."""
+    """Service type such as ``std_srvs/srv/Trigger``."""
     request: str
-    """Definition of the request, and of all nested types."""
+    """Definition of the request and of all nested types."""
     response: str
+    """Definition of the response and of all nested types."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClientTopic:
-    """A topic that a client wants to publish on."""
+    """A topic advertised by a client."""
 
     key: tuple[int, int]
-    """Number of the client, and the number that it gave the topic."""
+    """Id of the client, and the client's id of the topic."""
     name: str
     type_name: str
     encoding: str
@@ -65,45 +66,45 @@ class ClientTopic:
 
 
 class FoxgloveBackend(Protocol):
-    """What stands behind the server. Every method may be called from any thread and must not block."""
+    """Handler of client requests. Every method may be called from any thread and must not block."""
 
     def subscribed(self, topic: str) -> None:
-        """A client has subscribed to a topic: it wants the next messages, and the last one of a latched topic."""
+        """Handles a new subscription: the client expects further messages, and the last one of a latched topic."""
 
     def unsubscribed(self, topic: str) -> None:
-        """The last client of a topic has gone."""
+        """Handles the end of the last subscription of a topic."""
 
     def advertised(self, topic: ClientTopic) -> None:
-        """A client wants to publish on a topic."""
+        """Handles a topic advertised by a client."""
 
     def unadvertised(self, key: tuple[int, int]) -> None:
-        """A client no longer publishes on a topic, or is gone."""
+        """Handles the end of an advertisement, also after a lost connection."""
 
     def received(self, key: tuple[int, int], data: bytes) -> None:
-        """A client has published a message."""
+        """Handles a message published by a client."""
 
     def call(self, service: str, request: bytes) -> Future[bytes]:
         """Calls a service; the future holds the response."""
 
     def get_parameters(self, names: list[str]) -> Future[dict[str, Any]]:
-        """Reads parameters, named ``/node.parameter``; no name = all."""
+        """Reads parameters, named ``/node.parameter``; no names = all."""
 
     def set_parameters(self, values: dict[str, Any]) -> Future[dict[str, Any]]:
-        """Sets parameters; the future holds the values that they have afterwards."""
+        """Sets parameters; the future holds their resulting values."""
 
     def watch_parameters(self, watched: bool) -> None:
-        """Whether any client wants to be told of changed parameters."""
+        """Handles a change of whether any client subscribes to parameter changes."""
 
 
 class FoxgloveServer:
     """Serves the protocol in threads of the SDK.
 
     Args:
-        backend: what stands behind it.
+        backend: handler of client requests.
         host: address to listen on.
-        port: of TCP; 0 = any that is free.
-        commands: clients may publish, call services and set parameters.
-        name: shown by clients.
+        port: TCP port; 0 = any free port.
+        commands: whether clients may publish, call services and set parameters.
+        name: server name shown by clients.
 
     Raises:
         EnvironmentProblemError: foxglove-sdk is not installed.
@@ -118,15 +119,15 @@ class FoxgloveServer:
         self._context = sdk.Context()
         self._channels: dict[str, tuple[TopicInfo, Any]] = {}
         self._services: dict[str, ServiceInfo] = {}
-        allowed = [sdk.Capability.Time]
+        capabilities = [sdk.Capability.Time]
         if commands:
-            allowed += [sdk.Capability.ClientPublish, sdk.Capability.Parameters, sdk.Capability.Services]
+            capabilities += [sdk.Capability.ClientPublish, sdk.Capability.Parameters, sdk.Capability.Services]
         try:
             self._server: Any = sdk.start_server(
                 name=name,
                 host=host,
                 port=port,
-                capabilities=allowed,
+                capabilities=capabilities,
                 server_listener=_Listener(backend, sdk.Parameter),
                 supported_encodings=[CDR, JSON] if commands else None,
                 context=self._context,
@@ -143,48 +144,48 @@ class FoxgloveServer:
         return f"ws://{f'[{self._host}]' if ':' in self._host else self._host}:{self.port}"
 
     def serve_topics(self, topics: Iterable[TopicInfo]) -> None:
-        """Offers these topics and no others."""
-        wanted = {topic.name: topic for topic in topics}
-        for name in [name for name, (topic, _) in self._channels.items() if wanted.get(name) != topic]:
+        """Replaces the offered topics."""
+        offered = {topic.name: topic for topic in topics}
+        for name in [name for name, (topic, _) in self._channels.items() if offered.get(name) != topic]:
             self._channels.pop(name)[1].close()
-        for name, topic in wanted.items():
+        for name, topic in offered.items():
             if name not in self._channels:
                 schema = self._sdk.Schema(name=topic.type_name, encoding=_DEFINITION, data=topic.definition.encode())
                 channel = self._sdk.Channel(name, schema=schema, message_encoding=CDR, context=self._context)
                 self._channels[name] = (topic, channel)
 
     def serve_services(self, services: Iterable[ServiceInfo]) -> None:
-        """Offers these services and no others."""
-        wanted = {service.name: service for service in services}
-        gone = [name for name, service in self._services.items() if wanted.get(name) != service]
-        if gone:
-            self._server.remove_services(gone)
-        new = [service for name, service in wanted.items() if name in gone or name not in self._services]
+        """Replaces the offered services."""
+        offered = {service.name: service for service in services}
+        removed = [name for name, service in self._services.items() if offered.get(name) != service]
+        if removed:
+            self._server.remove_services(removed)
+        new = [service for name, service in offered.items() if name in removed or name not in self._services]
         if new:
             self._server.add_services([self._service(service) for service in new])
-        self._services = wanted
+        self._services = offered
 
     def send(self, topic: str, data: bytes, time_ns: int) -> None:
         """Sends a message of a topic to its subscribers.
 
         Args:
-            topic: that it was published on.
-            data: CDR, with its four bytes of encapsulation.
-            time_ns: of its arrival, on the clock of ``send_time``, nanoseconds.
+            topic: topic of the message.
+            data: CDR with its four bytes of encapsulation.
+            time_ns: time of arrival on the clock of ``send_time``, nanoseconds.
         """
         if topic in self._channels:
             self._channels[topic][1].log(data, log_time=max(0, time_ns))
 
     def send_time(self, time_ns: int) -> None:
-        """Tells all clients the time, nanoseconds: simulation time where there is a clock."""
+        """Sends the time to all clients, nanoseconds: simulation time if a clock is published."""
         self._server.broadcast_time(max(0, time_ns))
 
     def new_session(self) -> None:
-        """Has clients forget what they show: another clock began."""
+        """Makes clients discard their data, since the clock has changed."""
         self._server.clear_session()
 
     def send_parameters(self, values: Mapping[str, Any]) -> None:
-        """Tells clients that want to know the new values of parameters."""
+        """Sends new values of parameters to subscribed clients."""
         self._server.publish_parameter_values(_parameters(self._sdk.Parameter, values))
 
     def warn(self, text: str) -> None:
@@ -209,7 +210,7 @@ class FoxgloveServer:
 
 
 class _Sdk(Protocol):
-    """The names of the SDK that are used here."""
+    """The names of the SDK that this module uses."""
 
     Capability: Any
     Channel: Any
@@ -227,23 +228,23 @@ def load_sdk() -> _Sdk:
     """Returns the package ``foxglove``.
 
     Raises:
-        EnvironmentProblemError: it is not installed.
+        EnvironmentProblemError: the package is not installed.
     """
     try:
-        import foxglove as found
+        import foxglove as module
     except ImportError as error:
         raise EnvironmentProblemError(
             "the Foxglove server needs the Python package foxglove-sdk, which is not installed: `pip install foxglove-sdk`"
         ) from error
-    sdk: Any = found
-    if not hasattr(sdk, "start_server"):  # foxglove-client alone has the same name
-        raise EnvironmentProblemError("the Python package `foxglove` here has no server: `pip install foxglove-sdk`")
+    sdk: Any = module
+    if not hasattr(sdk, "start_server"):  # foxglove-client provides a package of the same name
+        raise EnvironmentProblemError("the installed Python package `foxglove` has no server: `pip install foxglove-sdk`")
     logging.getLogger("foxglove").setLevel(logging.WARNING)
     return cast(_Sdk, sdk)
 
 
 class _Listener:
-    """Hands what clients do to the backend. Called in threads of the SDK."""
+    """Forwards client events to the backend. Called in threads of the SDK."""
 
     def __init__(self, backend: FoxgloveBackend, parameter: Any) -> None:
         self._backend, self._parameter = backend, parameter
@@ -255,9 +256,9 @@ class _Listener:
         self._backend.subscribed(channel.topic)
 
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
-        left = self._subscribers.get(channel.topic, set())
-        left.discard(client.id)
-        if not left:
+        remaining = self._subscribers.get(channel.topic, set())
+        remaining.discard(client.id)
+        if not remaining:
             self._subscribers.pop(channel.topic, None)
             self._backend.unsubscribed(channel.topic)
 
@@ -289,16 +290,16 @@ class _Listener:
 
 
 def _call(backend: FoxgloveBackend, request: Any) -> bytes:
-    """Calls a service for a client; an exception is its answer."""
+    """Calls a service for a client; an exception is sent as its response."""
     if request.encoding != CDR:
         raise ConfigError(f"service {quoted(request.service_name)}: encoding {quoted(request.encoding)}, must be {CDR}")
     return backend.call(request.service_name, request.payload).result(_CALL_S)
 
 
-def _values(answer: Future[dict[str, Any]]) -> dict[str, Any]:
-    """Returns parameters; none if they do not arrive in time."""
+def _values(response: Future[dict[str, Any]]) -> dict[str, Any]:
+    """Returns parameters; empty if they do not arrive in time."""
     try:
-        return answer.result(_PARAMETERS_S)
+        return response.result(_PARAMETERS_S)
     except TimeoutError:
         logger.warning("parameters did not arrive within %g s", _PARAMETERS_S)
         return {}
@@ -308,13 +309,13 @@ def _parameters(kind: Any, values: Mapping[str, Any]) -> list[Any]:
     return [kind(name, value=value) for name, value in values.items()]
 
 
-def message_of_json(data: bytes) -> Any:
-    """Returns the values of a message in JSON.
+def message_from_json(data: bytes) -> Any:
+    """Parses the values of a JSON message.
 
     Raises:
-        ConfigError: it is no JSON.
+        ConfigError: the message is not JSON.
     """
     try:
         return json.loads(data)
     except ValueError as error:
-        raise ConfigError(f"a message is no JSON: {error}") from error
+        raise ConfigError(f"a message is not JSON: {error}") from error

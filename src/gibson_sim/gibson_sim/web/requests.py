@@ -1,4 +1,4 @@
-"""What a page may ask for: one JSON object a message, checked here before anything acts on it. Pure."""
+"""Requests of a page: one JSON object per message, validated before use."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 
 MAX_BYTES = 4096
-"""Length of a message of a page."""
+"""Largest length of a page's message, characters."""
 MAX_VIDEOS = 16
-"""Videos that one page may watch at a time."""
+"""Largest number of videos of one page."""
 MAX_TEXT = 512
-"""Characters of a name or a URI."""
+"""Largest length of a name or a URI, characters."""
 MAX_COORDINATE = 1e6
-"""Metres."""
+"""Largest coordinate, metres."""
 MAX_SPEED, MAX_TURN = 10.0, 20.0
-"""m/s and rad/s of a command; the robot's own limits come on top."""
+"""Largest velocities of a command, m/s and rad/s; the robot's own limits also apply."""
 MAX_STEPS = 100_000
 MAX_RATE = 1000.0
-"""Simulation time over wall time."""
+"""Largest ratio of simulation time to wall time."""
 MAX_CURVES = 16
-"""Curves that one page may plot at a time."""
+"""Largest number of curves of one page."""
 MAX_SEED = 2**31 - 1
 
 TimeAction = Literal["play", "pause", "step", "reset"]
@@ -32,49 +32,49 @@ BASELINES = ("none", "scripted", "careful", "random")
 
 
 class PageRequestError(GibsonSimError):
-    """A message of a page that is no request; the page is told."""
+    """A message of a page is not a valid request; the error is sent to the page."""
 
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """The videos that the page shows from now on; none while it is hidden."""
+    """Sets the videos that the page shows; none while it is hidden."""
 
     topics: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """The page has shown the last image of a video, and is ready for the next."""
+    """Acknowledges an image of a video; the page is ready for the next."""
 
     topic: str
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Velocities in the robot's base frame, m/s and rad/s; they hold for ``drive.DEADLINE_S``."""
+    """Velocities in the robot's base frame, m/s and rad/s; valid for ``dead_man.DEADLINE_S``."""
 
     linear: float
     lateral: float
     angular: float
     robot: str = ""
-    """Namespace of the robot; empty = the one without a namespace, or the first by name."""
+    """Namespace of the robot; empty = the robot without a namespace, or the first by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A pose on the map, metres and radians: where to go, or where the robot is taken to be."""
+    """A pose on the map, metres and radians: a navigation goal, or an initial pose estimate."""
 
     kind: Literal["goal", "initial_pose"]
     x: float
     y: float
     yaw: float
     robot: str = ""
-    """As for ``Drive``."""
+    """Namespace of the robot, as for ``Drive``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Time:
-    """Play, pause, make steps, or reset the simulation."""
+    """Plays, pauses, steps or resets the simulation."""
 
     action: TimeAction
     steps: int = 1
@@ -82,14 +82,14 @@ class Time:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """Speed of simulation time against wall time; 0 = as fast as possible."""
+    """Ratio of simulation time to wall time; 0 = as fast as possible."""
 
     value: float
 
 
 @dataclass(frozen=True, slots=True)
 class Spawn:
-    """Puts a thing of the catalogue on the floor, metres and radians."""
+    """Spawns an object of the catalogue on the floor, metres and radians."""
 
     uri: str
     x: float
@@ -99,7 +99,7 @@ class Spawn:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Puts an entity elsewhere on the floor, metres and radians."""
+    """Moves an entity to another pose on the floor, metres and radians."""
 
     name: str
     x: float
@@ -116,7 +116,7 @@ class Delete:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """The curves that the page plots from now on."""
+    """Sets the curves that the page plots."""
 
     curves: tuple[tuple[str, str], ...]
     """Topic and field of each."""
@@ -124,7 +124,7 @@ class Plot:
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """Asks which numbers the messages of a topic have."""
+    """Requests the numeric fields of a topic's messages."""
 
     topic: str
 
@@ -136,12 +136,12 @@ class Open:
     joint: str
     """``<body>/<joint>``."""
     opening: float
-    """0 = closed, 1 = as far as it goes."""
+    """Opening, 0 = closed, 1 = fully open."""
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Starts a recording in a folder that the server chooses, or ends it."""
+    """Starts a recording in a folder chosen by the server, or ends it."""
 
     action: Literal["start", "stop"]
     images: bool = False
@@ -149,12 +149,12 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class RunTask:
-    """Sets an episode of a task up, begins the next one, or ends the task."""
+    """Sets up an episode of a task, starts the next one, or ends the task."""
 
     action: Literal["start", "next", "stop"]
     task: str = TASK_NAMES[0]
     baseline: str = BASELINES[0]
-    """Who drives; none = the page, or another node."""
+    """Baseline that drives the robot; none = the page or another node drives."""
     seed: int = 0
 
 
@@ -162,17 +162,17 @@ Request = Watch | Shown | Drive | Goal | Time | Rate | Spawn | Move | Delete | P
 
 
 def parse_request(message: str) -> Request:
-    """Returns what a page asks for.
+    """Parses the request in a page's message.
 
     Raises:
-        PageRequestError: it is no request of a page: what, which value, what is allowed.
+        PageRequestError: the message is not a valid request; names the key, the value and the allowed values.
     """
     if len(message) > MAX_BYTES:
         raise PageRequestError(f"a message has {len(message)} characters, at most {MAX_BYTES} are allowed")
     try:
         values = json.loads(message)
     except (ValueError, RecursionError) as error:
-        raise PageRequestError(f"a message is no JSON: {quoted(message)}") from error
+        raise PageRequestError(f"a message is not JSON: {quoted(message)}") from error
     if not isinstance(values, dict):
         raise PageRequestError(f"a message is {quoted(message)}, must be a JSON object")
     fields = _Fields(values)
@@ -188,16 +188,16 @@ class _Fields:
         self._values = values
 
     def number(self, key: str, limit: float, low: float | None = None) -> float:
-        """Returns a finite number between ``low`` (-limit) and ``limit``."""
+        """Returns a finite number from ``low`` (None = -limit) to ``limit``; 0 if the key is missing."""
         value = self._values.get(key, 0.0)
         least = -limit if low is None else low
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not least <= value <= limit:  # NaN and infinity are not between them
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not least <= value <= limit:  # false for NaN and infinity
             raise PageRequestError(f"{key} is {quoted(value)}, must be a number from {least:g} to {limit:g}")
         return float(value)
 
     def text(self, key: str) -> str:
-        """Returns a text that is not empty."""
+        """Returns a non-empty text."""
         value = self._values.get(key)
         if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT or not value.isprintable():
             raise PageRequestError(f"{key} is {quoted(value)}, must be a text of 1 to {MAX_TEXT} printable characters")
@@ -211,7 +211,7 @@ class _Fields:
         return tuple(value)
 
     def flag(self, key: str) -> bool:
-        """Returns true or false; false where it is missing."""
+        """Returns a boolean; False if the key is missing."""
         value = self._values.get(key, False)
         if not isinstance(value, bool):
             raise PageRequestError(f"{key} is {quoted(value)}, must be true or false")
@@ -220,15 +220,15 @@ class _Fields:
     def curves(self) -> tuple[tuple[str, str], ...]:
         """Returns pairs of a topic and a field."""
         value = self._values.get("curves")
-        good = isinstance(value, list) and len(value) <= MAX_CURVES and all(_is_pair(item) for item in value)
-        if not good or not isinstance(value, list):
+        is_valid = isinstance(value, list) and len(value) <= MAX_CURVES and all(_is_pair(item) for item in value)
+        if not is_valid or not isinstance(value, list):
             raise PageRequestError(
                 f"curves is {quoted(value)}, must be a list of at most {MAX_CURVES} pairs of a topic and a field"
             )
         return tuple((topic, path) for topic, path in value)
 
     def robot(self) -> str:
-        """Returns the namespace of a robot; empty where it is missing."""
+        """Returns the namespace of a robot; empty if the key is missing."""
         return self.text("robot") if self._values.get("robot") else ""
 
     def choice(self, key: str, known: tuple[str, ...]) -> str:
@@ -238,8 +238,8 @@ class _Fields:
             raise PageRequestError(f"{key} is {quoted(value)}, must be one of {', '.join(known)}")
         return str(value)
 
-    def place(self) -> tuple[float, float, float]:
-        """Returns x, y and yaw."""
+    def pose(self) -> tuple[float, float, float]:
+        """Returns x, y (m) and yaw (rad)."""
         x, y = (self.number(key, MAX_COORDINATE) for key in ("x", "y"))
         return x, y, self.number("yaw", 100.0)
 
@@ -249,7 +249,7 @@ def _is_pair(item: Any) -> bool:
 
 
 def _goal(kind: Literal["goal", "initial_pose"], fields: _Fields) -> Goal:
-    x, y, yaw = fields.place()
+    x, y, yaw = fields.pose()
     return Goal(kind, x, y, yaw, fields.robot())
 
 
@@ -281,8 +281,8 @@ _READERS: dict[str, Any] = {
     "initial_pose": lambda f: _goal("initial_pose", f),
     "time": _time,
     "rate": lambda f: Rate(f.number("value", MAX_RATE, 0.0)),
-    "spawn": lambda f: Spawn(f.text("uri"), *f.place()),
-    "move": lambda f: Move(f.text("name"), *f.place()),
+    "spawn": lambda f: Spawn(f.text("uri"), *f.pose()),
+    "move": lambda f: Move(f.text("name"), *f.pose()),
     "delete": lambda f: Delete(f.text("name")),
     "plot": lambda f: Plot(f.curves()),
     "fields": lambda f: Fields(f.text("topic")),

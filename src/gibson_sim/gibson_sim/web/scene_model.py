@@ -1,4 +1,4 @@
-"""A scene as a browser draws it: few arrays of triangles in the frames of their links, textures as image files. Pure but for the meshes read."""
+"""A scene for rendering in a browser: a few vertex arrays in the frames of their links, and textures as image files."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import SceneState
 
 MOST_TRIANGLES = 400_000
-"""Greatest number of triangles of a model; the parts of a larger scene are simplified in proportion."""
+"""Largest number of triangles of a model; the meshes of a larger scene are simplified in proportion."""
 _TEXTURE_PX = 1024
-"""Longest edge of a texture."""
+"""Largest width or height of a texture."""
 _VERTEX = np.dtype([("position", "<f4", 3), ("uv", "<f4", 2), ("normal", "i1", 4), ("color", "u1", 4)])
 _POSES = struct.Struct("<BBHd")
-"""Kind (2 = poses), 0, 0, stamp in seconds; seven float32 follow for each link: x, y, z, and the quaternion x, y, z, w."""
+"""Header of a pose message: kind (2 = poses), 0, 0, stamp in seconds; seven float32 for each link follow: x, y, z, quaternion x, y, z, w."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneModel:
-    """What a page downloads."""
+    """The files that a page downloads."""
 
     description: bytes
     """JSON: ``batches`` (link, -1 = the world; texture, -1 = none; unlit; blend; first and count of indices), ``vertices`` and ``indices`` (counts),
@@ -43,7 +43,7 @@ class SceneModel:
 
 @dataclass
 class _Batch:
-    """Triangles that are drawn by one call."""
+    """Triangles drawn by one draw call."""
 
     vertices: list[NDArray[np.void]] = field(default_factory=list)
     triangles: list[NDArray[np.int64]] = field(default_factory=list)
@@ -51,7 +51,7 @@ class _Batch:
 
 
 def scene_model(scene: DrawnScene, warn: Callable[[str], None] = lambda _: None) -> SceneModel:
-    """Returns the model of a scene; what cannot be read is left out with a warning."""
+    """Returns the model of a scene; unreadable meshes are omitted with a warning."""
     loader = MeshLoader(mesh_folders([visual.shape for visual in scene.visuals]))
     links = {name: k for k, name in enumerate(scene.links)}
     textures: dict[int, int] = {}
@@ -89,42 +89,42 @@ def scene_model(scene: DrawnScene, warn: Callable[[str], None] = lambda _: None)
 
 
 def poses_message(state: SceneState) -> bytes:
-    """Returns the poses of all links at a state, as they go over a WebSocket."""
+    """Returns the WebSocket message with the poses of all links at a state."""
     rows = np.hstack([state.positions, state.quats_xyzw]).astype("<f4")
     return _POSES.pack(2, 0, 0, state.stamp_ns / 1e9) + rows.tobytes()
 
 
 def _vertices(part: MeshPart, matrix: NDArray[np.float64], color: tuple[float, ...] | None) -> NDArray[np.void]:
-    out = np.zeros(len(part.vertices), dtype=_VERTEX)
-    out["position"] = apply(matrix, part.vertices)
+    vertices = np.zeros(len(part.vertices), dtype=_VERTEX)
+    vertices["position"] = apply(matrix, part.vertices)
     if part.uvs is not None:
-        out["uv"] = part.uvs
-    out["normal"][:, :3] = np.round(transform_normals(matrix, part.normals) * 127.0)
+        vertices["uv"] = part.uvs
+    vertices["normal"][:, :3] = np.round(transform_normals(matrix, part.normals) * 127.0)
     base = np.array(part.material.base_color if color is None else color, dtype=np.float64)
-    out["color"] = np.round(np.clip(base, 0.0, 1.0) * 255.0)
+    vertices["color"] = np.round(np.clip(base, 0.0, 1.0) * 255.0)
     if color is None and part.colors is not None and part.material.colored:
-        out["color"][:, :3] = np.round(part.colors[:, :3] * np.clip(base[:3], 0.0, 1.0))
-    return out
+        vertices["color"][:, :3] = np.round(part.colors[:, :3] * np.clip(base[:3], 0.0, 1.0))
+    return vertices
 
 
 def _encoded(texture: TextureSource) -> bytes:
-    """Returns a texture as a file that browsers read, no larger than is worth the link."""
+    """Returns a texture as a JPEG or PNG file, scaled down to ``_TEXTURE_PX``."""
     pixels = texture.pixels
     scale = _TEXTURE_PX / max(pixels.shape[:2])
     if scale < 1.0:
         size = (max(1, round(pixels.shape[1] * scale)), max(1, round(pixels.shape[0] * scale)))
         pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    clear = pixels.shape[2] == 4 and bool((pixels[:, :, 3] < 255).any())
-    order = cv2.COLOR_RGBA2BGRA if clear else cv2.COLOR_RGB2BGR
-    bgr = cv2.cvtColor(np.ascontiguousarray(pixels if clear else pixels[:, :, :3]), order)
-    return bytes(cv2.imencode(".png" if clear else ".jpg", bgr, [] if clear else [cv2.IMWRITE_JPEG_QUALITY, 88])[1])
+    has_alpha = pixels.shape[2] == 4 and bool((pixels[:, :, 3] < 255).any())
+    order = cv2.COLOR_RGBA2BGRA if has_alpha else cv2.COLOR_RGB2BGR
+    bgr = cv2.cvtColor(np.ascontiguousarray(pixels if has_alpha else pixels[:, :, :3]), order)
+    return bytes(cv2.imencode(".png" if has_alpha else ".jpg", bgr, [] if has_alpha else [cv2.IMWRITE_JPEG_QUALITY, 88])[1])
 
 
 def _packed(scene: DrawnScene, batches: dict[tuple[int, int, bool, bool], _Batch], files: list[bytes]) -> SceneModel:
-    listed, vertices, indices, first_vertex, first_index = [], [], [], 0, 0
+    batch_entries, vertices, indices, first_vertex, first_index = [], [], [], 0, 0
     for (link, texture, unlit, blend), batch in sorted(batches.items(), key=lambda item: item[0][3]):
         triangles = np.concatenate(batch.triangles) + first_vertex
-        listed.append(
+        batch_entries.append(
             {"link": link, "texture": texture, "unlit": unlit, "blend": blend, "first": first_index, "count": triangles.size}
         )
         vertices += batch.vertices
@@ -132,7 +132,7 @@ def _packed(scene: DrawnScene, batches: dict[tuple[int, int, bool, bool], _Batch
         first_vertex += batch.count
         first_index += triangles.size
     description = {
-        "batches": listed, "vertices": first_vertex, "indices": first_index, "textures": len(files), "links": list(scene.links),
+        "batches": batch_entries, "vertices": first_vertex, "indices": first_index, "textures": len(files), "links": list(scene.links),
         "background": list(scene.light.background),
     }  # fmt: skip
     arrays = b"".join([v.tobytes() for v in vertices] + [i.tobytes() for i in indices])

@@ -1,8 +1,8 @@
-"""The HTTP and WebSocket server of the live page, in a thread of its own. Knows no ROS: a ``Backend`` is told what pages ask for.
+"""The HTTP and WebSocket server of the live page, in its own thread. Must not import ROS: a ``Backend`` handles the pages' requests.
 
-It answers on loopback alone, unless it is given another address; then every page needs a token. No path of a request is opened as a file:
-what there is to serve is read once, at the start. Pages of other origins are refused, and so are requests whose Host is not this
-server's: no other web site in the same browser can reach the robot.
+By default it listens only on loopback; on another address every page needs a token. Request paths are never opened as files: the served files
+are read once at the start. Requests from other origins or with a Host other than this server are rejected: no other web site in the same
+browser can reach the robot.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ logger = logging.getLogger(__name__)
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 MAX_PAGES = 20
-"""Pages that may be connected at a time."""
+"""Largest number of connected pages."""
 MAX_ROBOTS = 100
-"""Robots that pages may drive at a time."""
+"""Largest number of robots that pages drive at the same time."""
 _TICK_S = 0.05
-"""Seconds between two looks at who drives."""
+"""Period of velocity commands, seconds of wall time."""
 _SILENT_S = 10.0
-"""A page that answers no ping for this long is gone."""
+"""Timeout for the answer to a ping, after which a page counts as disconnected, seconds of wall time."""
 _PRESENT_S, _MOST_KEPT = 0.3, 64
-"""Age up to which an image shows the present, on the clock of the stamps, s; and number of images that are kept."""
+"""Age up to which an image counts as current, on the clock of the stamps, s; and largest number of kept images."""
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
 _POLICY = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' ws: wss:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
 
@@ -51,10 +51,10 @@ class PageServer:
     """Serves the page.
 
     Args:
-        backend: what stands behind it.
+        backend: handler of the pages' requests.
         host: address to listen on.
-        port: of TCP; 0 = any that is free.
-        token: what a page must know; "" = nothing, which is allowed on loopback alone.
+        port: TCP port; 0 = any free port.
+        token: token that a page must present; "" = none, allowed only on loopback.
 
     Raises:
         ConfigError: the address cannot be used, or is not loopback and has no token.
@@ -62,16 +62,16 @@ class PageServer:
 
     def __init__(self, backend: Backend, host: str = "127.0.0.1", port: int = 0, token: str = "") -> None:
         if host not in LOOPBACK and not token:
-            raise ConfigError(f"address {host} is not of this machine alone: a token is needed")
+            raise ConfigError(f"address {host} is reachable from other machines: a token is required")
         self._backend, self._host, self._token = backend, host, token
         self._pages: set[Page] = set()
         self._watched: frozenset[str] = frozenset()
         self._plotted: frozenset[CurveName] = frozenset()
         self._newest: dict[str, Streamed] = {}
-        """Topic -> its newest image: a page that is opened while time is paused gets it."""
-        self._dead_men: dict[str, DeadMan] = {}
-        """Robot -> who drives it."""
-        self._kept: dict[str, str] = {}
+        """Topic -> latest image, for pages that are opened while time is paused."""
+        self._switches: dict[str, DeadMan] = {}
+        """Namespace of a robot -> its dead man's switch."""
+        self._latched: dict[str, str] = {}
         self._files = {entry.name: entry.read_bytes() for entry in files("gibson_sim.web").joinpath("page").iterdir()}
         self._blobs: dict[str, bytes] = {}
         self._loop = asyncio.new_event_loop()
@@ -86,48 +86,48 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """The address for a browser."""
+        """URL for a browser."""
         host = socket.gethostname() if self._host in ("0.0.0.0", "::") else f"[{self._host}]" if ":" in self._host else self._host
         return f"http://{host}:{self.port}/" + (f"?token={self._token}" if self._token else "")
 
-    def tell(self, kind: str, values: Any, *, keep: bool = False) -> None:
-        """Sends values to every page, as JSON; may be called from any thread.
+    def broadcast(self, kind: str, values: Any, *, keep: bool = False) -> None:
+        """Sends values to all pages as JSON; may be called from any thread.
 
         Args:
-            kind: what they are.
-            values: anything that JSON can hold.
-            keep: pages that come later get the newest ones, too.
+            kind: type of the message.
+            values: JSON values.
+            keep: whether to latch the values: pages that connect later also receive the latest ones.
         """
         text = json.dumps({"type": kind, "value": values}, allow_nan=False)
-        self._call(self._tell, kind, text, keep)
+        self._call(self._broadcast, kind, text, keep)
 
-    def show(self, image: Streamed) -> None:
-        """Sends an image or poses to the pages that watch them; may be called from any thread."""
-        self._call(self._show, image)
+    def send_image(self, image: Streamed) -> None:
+        """Sends an image or poses to the pages that watch the topic; may be called from any thread."""
+        self._call(self._send_image, image)
 
-    def forget_images(self, now_s: float) -> None:
-        """Forgets images, but for those of this moment: others are of a past that a page must not take for the present.
-
-        Args:
-            now_s: the time now on the clock of their stamps, s.
-        """
-        self._call(self._forget_images, now_s)
-
-    def show_curves(self, now_s: float, samples: dict[CurveName, list[Sample]]) -> None:
-        """Sends values to the pages that plot them; may be called from any thread.
+    def drop_stale_images(self, now_s: float) -> None:
+        """Drops kept images that are not current, so that a page does not mistake them for the present.
 
         Args:
-            now_s: the time now, on the clock of the samples.
-            samples: what came since the last call.
+            now_s: current time on the clock of the stamps, s.
         """
-        self._call(self._show_curves, now_s, samples)
+        self._call(self._drop_stale_images, now_s)
+
+    def send_samples(self, now_s: float, samples: dict[CurveName, list[Sample]]) -> None:
+        """Sends samples to the pages that plot the curves; may be called from any thread.
+
+        Args:
+            now_s: current time on the clock of the samples, s.
+            samples: samples since the last call.
+        """
+        self._call(self._send_samples, now_s, samples)
 
     def serve_blob(self, name: str, data: bytes) -> None:
-        """Serves bytes under ``/data/<name>`` from now on: the map, the mesh of the scene."""
+        """Serves bytes under ``/data/<name>``, such as the map and the mesh of the scene."""
         self._call(self._blobs.__setitem__, name, data)
 
     def close(self) -> None:
-        """Ends the server. The backend is told to stop the robot, if a page drove it, before connections are closed, which may take seconds."""
+        """Ends the server. If a page drives a robot, the backend stops it before connections are closed, which may take seconds."""
         if self._loop.is_running():
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._released.wait(timeout=5.0)
@@ -138,14 +138,14 @@ class PageServer:
 
     @property
     def _cookie(self) -> str:
-        """The cookie with the token: browsers share cookies between the ports of a host."""
+        """Name of the cookie with the token; it includes the port, since browsers share cookies between the ports of a host."""
         return f"gibson_sim_token_{self.port}"
 
-    # All below runs in the server's thread.
+    # All methods below run in the server's thread.
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> None:
         if not self._loop.is_closed():
-            with contextlib.suppress(RuntimeError):  # it was closed at this moment
+            with contextlib.suppress(RuntimeError):  # the loop was closed meanwhile
                 self._loop.call_soon_threadsafe(function, *arguments)
 
     def _run(self, port: int) -> None:
@@ -189,19 +189,19 @@ class PageServer:
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
-        """Refuses other hosts, other origins and, where there is a token, who does not know it."""
+        """Rejects other hosts, other origins and requests without the token, if one is set."""
         try:
             host = urlsplit(f"//{request.host}").hostname or ""
             origin = request.headers.get("Origin")
-            foreign = origin is not None and urlsplit(origin).netloc != request.host
+            is_foreign = origin is not None and urlsplit(origin).netloc != request.host
         except ValueError as error:
-            raise web.HTTPForbidden(text="Host or Origin is no address") from error
+            raise web.HTTPForbidden(text="Host or Origin is not an address") from error
         if self._host in LOOPBACK and host not in LOOPBACK:
-            raise web.HTTPForbidden(text="this server answers to localhost alone")
-        if foreign:
-            raise web.HTTPForbidden(text="pages of other web sites are refused")
-        given = request.query.get("token") or request.cookies.get(self._cookie, "")
-        if self._token and not hmac.compare_digest(given.encode(errors="replace"), self._token.encode()):
+            raise web.HTTPForbidden(text="this server accepts only localhost as Host")
+        if is_foreign:
+            raise web.HTTPForbidden(text="requests from other origins are rejected")
+        token = request.query.get("token") or request.cookies.get(self._cookie, "")
+        if self._token and not hmac.compare_digest(token.encode(errors="replace"), self._token.encode()):
             raise web.HTTPForbidden(text="the token is missing or wrong: open the address that `gibson-sim` printed")
         response: web.StreamResponse = await handler(request)
         if not response.prepared:
@@ -234,11 +234,11 @@ class PageServer:
         try:
             await socket.prepare(request)
         except ConnectionError as error:
-            # The browser closed the page while it loaded; as another exception this would be logged with its traceback.
+            # The browser closed the page while loading it; any other exception would be logged with its traceback.
             raise web.HTTPServiceUnavailable(text="the page was closed") from error
         page = Page(socket, asyncio.Queue(maxsize=64))
         self._pages.add(page)
-        for text in self._kept.values():
+        for text in self._latched.values():
             page.put(text)
         sending = self._loop.create_task(send_queued(page))
         try:
@@ -259,7 +259,7 @@ class PageServer:
         except PageRequestError as error:
             page.reply("", False, str(error))
             return
-        if not isinstance(request, Shown | Drive) and not page.may_ask(time.monotonic()):
+        if not isinstance(request, Shown | Drive) and not page.allow_request(time.monotonic()):
             return
         if isinstance(request, Watch):
             new = page.viewer.watch(request.topics)
@@ -271,35 +271,35 @@ class PageServer:
         elif isinstance(request, Plot):
             page.curves = frozenset(request.curves)
             self._update_plotted()
-            self._backend.ask(request, lambda ok, text, value=None: self._call(page.send_history, value))
+            self._backend.handle_request(request, lambda ok, text, value=None: self._call(page.send_history, value))
         elif isinstance(request, Drive):
-            if not self._driven(page, request):
-                page.reply("drive", False, "another page drives")
+            if not self._accept_drive(page, request):
+                page.reply("drive", False, "another page is driving")
         else:
             kind = type(request).__name__
-            self._backend.ask(request, lambda ok, text, value=None: self._call(page.reply, kind, ok, text, value))
+            self._backend.handle_request(request, lambda ok, text, value=None: self._call(page.reply, kind, ok, text, value))
 
-    def _driven(self, page: Page, request: Drive) -> bool:
-        """Takes a command; returns False where another page drives this robot."""
-        man = self._dead_men.get(request.robot)
-        if man is None and len(self._dead_men) < MAX_ROBOTS:
-            man = self._dead_men[request.robot] = DeadMan()
-        return man is not None and man.drive(page, replace(request, robot=""), time.monotonic())
+    def _accept_drive(self, page: Page, request: Drive) -> bool:
+        """Accepts a drive command; returns False if another page drives this robot."""
+        switch = self._switches.get(request.robot)
+        if switch is None and len(self._switches) < MAX_ROBOTS:
+            switch = self._switches[request.robot] = DeadMan()
+        return switch is not None and switch.drive(page, replace(request, robot=""), time.monotonic())
 
     def _release(self, *pages: Page) -> None:
-        for man in self._dead_men.values():
+        for switch in self._switches.values():
             for page in pages:
-                man.release(page)
+                switch.release(page)
 
     def _drive(self) -> bool:
-        """Has the commands that are due sent; returns whether there were any."""
+        """Publishes the due commands; returns whether there were any."""
         now, sent = time.monotonic(), False
-        for robot, man in list(self._dead_men.items()):
-            if (command := man.due(now)) is not None:
+        for robot, switch in list(self._switches.items()):
+            if (command := switch.due(now)) is not None:
                 self._backend.drive(replace(command, robot=robot))
                 sent = True
-            if man.idle:
-                del self._dead_men[robot]
+            if switch.idle:
+                del self._switches[robot]
         return sent
 
     def _update_watched(self) -> None:
@@ -314,20 +314,20 @@ class PageServer:
             self._plotted = plotted
             self._backend.plot(plotted)
 
-    def _show_curves(self, now_s: float, samples: dict[CurveName, list[Sample]]) -> None:
+    def _send_samples(self, now_s: float, samples: dict[CurveName, list[Sample]]) -> None:
         for page in self._pages:
             page.send_samples("samples", now_s, samples)
 
-    def _tell(self, kind: str, text: str, keep: bool) -> None:
+    def _broadcast(self, kind: str, text: str, keep: bool) -> None:
         if keep:
-            self._kept[kind] = text
+            self._latched[kind] = text
         for page in self._pages:
             page.put(text)
 
-    def _forget_images(self, now_s: float) -> None:
+    def _drop_stale_images(self, now_s: float) -> None:
         self._newest = {topic: image for topic, image in self._newest.items() if abs(image.stamp_s - now_s) < _PRESENT_S}
 
-    def _show(self, image: Streamed) -> None:
+    def _send_image(self, image: Streamed) -> None:
         if image.topic in self._newest or len(self._newest) < _MOST_KEPT:
             self._newest[image.topic] = image
         for page in self._pages:

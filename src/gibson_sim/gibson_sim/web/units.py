@@ -1,4 +1,4 @@
-"""Units of the fields of common messages, by REP 103 and the comments in their definitions. Pure."""
+"""Units of the fields of common messages, from REP 103 and the comments in their definitions."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ _UNITS: dict[str, dict[str, str]] = {
         "positions": "rad or m", "velocities": "rad/s or m/s", "accelerations": "rad/s² or m/s²", "effort": "N m or N",
     },
 }  # fmt: skip
-"""Message type -> field -> unit. A field that holds a message, such as ``Twist.linear``, gives its unit to the numbers in it."""
+"""Message type -> field -> unit. The unit of a field that holds a message, such as ``Twist.linear``, applies to the numbers in it."""
 
 
 def unit_of(type_name: str, field: str, outer: str) -> str:
-    """Returns the unit of a field; empty = not known, or none.
+    """Returns the unit of a field; empty = unknown or none.
 
     Args:
-        type_name: of the message that has the field, ``geometry_msgs/Twist``.
-        field: its name.
-        outer: unit of the message itself, where the field that holds it has one.
+        type_name: type of the message with the field, such as ``geometry_msgs/Twist``.
+        field: name of the field.
+        outer: unit of the field that holds the message; empty = none.
     """
     return _UNITS.get(type_name, {}).get(field, outer)

@@ -1,4 +1,4 @@
-"""Which page gets which image when: the newest one, as soon as it has shown the one before. A slow page slows no other. Pure."""
+"""Flow control of videos: a page receives the latest image when it has shown an earlier one. A slow page does not slow others."""
 
 from __future__ import annotations
 
@@ -8,58 +8,58 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 IN_FLIGHT = 2
-"""Images of one video that may be on their way to a page: with one alone it would wait for the link each time."""
+"""Largest number of unacknowledged images of a video; with only one, each image would wait for a round trip."""
 SCENE = "@scene"
-"""What a page watches to get the poses of the 3-D scene: no topic has this name."""
+"""Pseudo-topic for the poses of the 3-D scene; not a valid topic name."""
 _HEAD = struct.Struct("<BBHd")
-"""Kind (1 = image), 0, length of the topic in bytes, stamp in seconds; the topic and a JPEG file follow."""
+"""Header of an image message: kind (1 = image), 0, length of the topic in bytes, stamp in seconds; topic and JPEG file follow."""
 
 
 class Streamed(Protocol):
-    """What is worth sending only while it is the newest of its topic."""
+    """Data of which only the latest of each topic is sent."""
 
     @property
     def topic(self) -> str:
-        """What a page watches to get it."""
+        """Topic that pages watch."""
 
     @property
     def stamp_s(self) -> float:
-        """Stamp of its message, s."""
+        """Stamp of the message, s."""
 
     def message(self) -> bytes:
-        """Returns it as it goes over a WebSocket."""
+        """Returns the WebSocket message."""
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """The poses of all links of the scene, as ``scene_model.poses_message`` packs them."""
+    """The poses of all links of the scene, packed by ``scene_model.poses_message``."""
 
     data: bytes
     stamp_s: float
     topic: str = SCENE
 
     def message(self) -> bytes:
-        """Returns it as it goes over a WebSocket."""
+        """Returns the WebSocket message."""
         return self.data
 
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """A JPEG file of a video, and the stamp of its message in seconds."""
+    """A JPEG image of a video, with the stamp of its message in seconds."""
 
     topic: str
     stamp_s: float
     jpeg: bytes
 
     def message(self) -> bytes:
-        """Returns it as it goes over a WebSocket."""
+        """Returns the WebSocket message."""
         topic = self.topic.encode()
         return _HEAD.pack(1, 0, len(topic), self.stamp_s) + topic + self.jpeg
 
 
 @dataclass(slots=True)
 class _Window:
-    """One video of one page."""
+    """State of one video of a page."""
 
     in_flight: int = 0
     newest: Streamed | None = None
@@ -67,10 +67,10 @@ class _Window:
 
 @dataclass(eq=False)
 class Viewer:
-    """A page, as far as videos go.
+    """The videos of a page.
 
     Args:
-        send: hands an image to the page's connection; never blocks.
+        send: sends an image to the page; must not block.
     """
 
     send: Callable[[Streamed], None]
@@ -78,17 +78,17 @@ class Viewer:
 
     @property
     def topics(self) -> frozenset[str]:
-        """What it watches."""
+        """Watched topics."""
         return frozenset(self._windows)
 
     def watch(self, topics: tuple[str, ...]) -> frozenset[str]:
-        """Shows these videos from now on; what is in flight of those that it showed already still counts. Returns the new ones."""
-        before = self.topics
+        """Replaces the watched videos; unacknowledged images of retained videos still count. Returns the new topics."""
+        previous = self.topics
         self._windows = {topic: self._windows.get(topic) or _Window() for topic in topics}
-        return self.topics - before
+        return self.topics - previous
 
     def offer(self, image: Streamed) -> None:
-        """Sends an image if it watches that video and is ready; else keeps it until it is, or until a newer one comes."""
+        """Sends an image of a watched video if the page is ready; otherwise keeps it until the page is ready or a newer image arrives."""
         window = self._windows.get(image.topic)
         if window is None:
             return
@@ -99,7 +99,7 @@ class Viewer:
             window.newest = image
 
     def shown(self, topic: str) -> None:
-        """Notes that the page has shown an image, and sends it the newest if one waits."""
+        """Records that the page has shown an image; sends the latest waiting image, if any."""
         window = self._windows.get(topic)
         if window is None or not window.in_flight:
             return

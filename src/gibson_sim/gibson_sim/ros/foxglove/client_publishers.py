@@ -11,7 +11,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.tools.yaml_messages import fill
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
-from gibson_sim.web.foxglove_server import JSON, ClientTopic, message_of_json
+from gibson_sim.web.foxglove_server import JSON, ClientTopic, message_from_json
 
 _DEPTH = 10
 _COMMANDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
@@ -59,7 +59,7 @@ class ClientPublishers:
             return  # the channel was refused
         topic, kind, publisher = self._publishers[key]
         if topic.encoding == JSON:
-            message = fill(kind(), message_of_json(data))
+            message = fill(kind(), message_from_json(data))
         else:
             try:
                 message = deserialize_message(data, kind)

@@ -111,7 +111,7 @@ class WebNode(Node):
         self.subscribe(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _MANY)
         token = "" if config.host in LOOPBACK else config.token or secrets.token_urlsafe(16)
         self._server = PageServer(_Backend(self), config.host, config.port, token)
-        self._videos = VideoSubscriptions(self, self._server.show, partial(self._tell_changed, "problems"))
+        self._videos = VideoSubscriptions(self, self._server.send_image, partial(self._tell_changed, "problems"))
         self._plots = PlotSubscriptions(self)
         self._doors = Doors(self)
         self._task = TaskView(self, self._simulation)
@@ -185,7 +185,7 @@ class WebNode(Node):
         """Subscribes to what pages plot."""
         self._plots.update(curves)
 
-    def ask(self, request: Request, answer: Answer) -> None:
+    def handle_request(self, request: Request, answer: Answer) -> None:
         """Does what a page asks for."""
         if isinstance(request, Goal):
             robot = self._robot(request.robot)
@@ -254,7 +254,7 @@ class WebNode(Node):
         values = {"data": "map", "version": self._map_version, "width": info.width, "height": info.height}
         if not all(map(math.isfinite, (info.resolution, origin.x, origin.y, origin.z))):
             raise ValueError("its resolution or its origin is not finite")
-        self._server.tell("map", values | {"resolution": info.resolution, "x": origin.x, "y": origin.y}, keep=True)
+        self._server.broadcast("map", values | {"resolution": info.resolution, "x": origin.x, "y": origin.y}, keep=True)
 
     def _on_tf(self, msg: TFMessage) -> None:
         for t in msg.transforms:
@@ -282,15 +282,15 @@ class WebNode(Node):
                 self._robots.pop(name).close()  # at once: another world may have been loaded
                 continue
             self.guarded(f"robot {name or 'robot'}", partial(self._add_robot, robot, found, points))
-        self._server.tell("robots", found, keep=True)
-        self._server.tell("scan", points, keep=True)
+        self._server.broadcast("robots", found, keep=True)
+        self._server.broadcast("scan", points, keep=True)
         self._tell_changed("paths", [robot.path for robot in self._robots.values() if robot.path])
         self._tell_changed("estimates", [robot.estimate for robot in self._robots.values() if robot.estimate is not None])
         self._tell_changed("doors", self._doors.listed(self._places))
         self._plots.end_listings()
         if self._plots.curves.names:
             now = time.monotonic()
-            self._server.show_curves(now, self._plots.curves.pop_new(now))
+            self._server.send_samples(now, self._plots.curves.pop_new(now))
 
     def _add_robot(self, robot: Robot, found: list[dict[str, Any]], points: list[tuple[float, float]]) -> None:
         """Adds what a page shows of a robot."""
@@ -310,7 +310,7 @@ class WebNode(Node):
         if known != self._known:
             self._known = known
             self._videos.update(self._watched, known)
-            self._server.tell("topics", [{"topic": topic, "label": label_of(topic)} for topic in known], keep=True)
+            self._server.broadcast("topics", [{"topic": topic, "label": label_of(topic)} for topic in known], keep=True)
         self._plots.types = plottable(graph)
         self._plots.look()
         self._tell_changed("plottable", list(self._plots.types))
@@ -331,7 +331,7 @@ class WebNode(Node):
             for kind in ("entities", "places", "catalogue"):
                 self._tell_changed(kind, [])
         now = self.stamp()
-        self._server.forget_images(now.sec + now.nanosec / NS_PER_S)
+        self._server.drop_stale_images(now.sec + now.nanosec / NS_PER_S)
         self._tell_status()
 
     def _tell_status(self) -> None:
@@ -339,7 +339,9 @@ class WebNode(Node):
         diagnoses = [values for values, at in self._diagnoses.values() if now - at < _GAP_S]
         time_s = None if self._clock_ns is None else self._clock_ns / NS_PER_S
         factor = None if time_s is None else self._factor.add(now, time_s)
-        self._server.tell("status", {"state": self._state, "time": time_s, "factor": factor, "diagnostics": diagnoses}, keep=True)
+        self._server.broadcast(
+            "status", {"state": self._state, "time": time_s, "factor": factor, "diagnostics": diagnoses}, keep=True
+        )
 
     def _update_robots(self, graph: list[tuple[str, list[str]]]) -> None:
         for name in sorted(robots_in(graph) - set(self._robots)):
@@ -385,7 +387,7 @@ class WebNode(Node):
     def _tell_changed(self, kind: str, values: Any) -> None:
         if self._told.get(kind) != values:
             self._told[kind] = values
-            self._server.tell(kind, values, keep=True)
+            self._server.broadcast(kind, values, keep=True)
 
     def stamp(self) -> Any:
         """Returns the time now: of the simulation where there is one."""
@@ -412,8 +414,8 @@ class _Backend:
     def drive(self, command: Drive) -> None:
         self._node.do_soon(partial(self._node.drive, command))
 
-    def ask(self, request: Request, answer: Answer) -> None:
-        self._node.do_soon(partial(self._node.ask, request, answer))
+    def handle_request(self, request: Request, answer: Answer) -> None:
+        self._node.do_soon(partial(self._node.handle_request, request, answer))
 
 
 def main(args: list[str] | None = None) -> None:

@@ -79,7 +79,7 @@ class SceneStream:
         self._server.serve_blob("scene_arrays", model.arrays)
         for number, texture in enumerate(model.textures):
             self._server.serve_blob(f"texture_{number}", texture)
-        self._server.tell("scene", {"version": f"{scene.content_hash[:12]}-{scene.revision}"}, keep=True)
+        self._server.broadcast("scene", {"version": f"{scene.content_hash[:12]}-{scene.revision}"}, keep=True)
 
     def _on_state(self, data: bytes) -> None:
         self._last = data
@@ -93,4 +93,4 @@ class SceneStream:
         msg = deserialize_message(self._last, SceneState) if self._last else None
         if msg is not None and msg.revision == self._revision:
             state = conversions.scene_state_from_msg(msg, self._links)
-            self._server.show(Poses(poses_message(state), state.stamp_ns / NS_PER_S))
+            self._server.send_image(Poses(poses_message(state), state.stamp_ns / NS_PER_S))

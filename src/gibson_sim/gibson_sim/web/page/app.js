@@ -1,4 +1,4 @@
-// The page: one WebSocket; the parts of the page tell it what to ask for, and it tells them what came.
+// The page: connects one WebSocket with the parts of the page.
 import { $, keyed, note, remember, remembered } from './dom.js';
 import { Driving } from './drive.js';
 import { FloorMap } from './map.js';
@@ -7,7 +7,7 @@ import { Plots } from './plots.js';
 import { Scene3D } from './scene3d.js';
 import { Videos } from './videos.js';
 
-let socket = null, robots = [], chosen = remembered('robot', '');
+let socket = null, robots = [], selectedRobot = remembered('robot', '');
 
 function send(type, values = {}) {
   if (!socket || socket.readyState !== WebSocket.OPEN) return false;
@@ -15,7 +15,7 @@ function send(type, values = {}) {
   return true;
 }
 
-const robot = () => robots.find((r) => r.namespace === chosen) || robots[0];
+const robot = () => robots.find((r) => r.namespace === selectedRobot) || robots[0];
 const toRobot = (values) => ({ ...values, robot: robot()?.namespace || '' });
 
 const videos = new Videos(watch);
@@ -47,7 +47,7 @@ async function showBinary(buffer) {
   try { await videos.show(topic, stamp, buffer.slice(12 + length)); } finally { send('shown', { topic }); }
 }
 
-// What came
+// Received messages
 
 const on = {
   topics(value) { videos.setTopics(value); },
@@ -59,7 +59,7 @@ const on = {
     $('state').textContent = value.state; $('state').className = `badge ${value.state.replaceAll(' ', '-')}`;
     $('time').textContent = value.time === null ? '–' : value.time.toFixed(2);
     $('factor').textContent = value.factor === null ? '–' : value.factor.toFixed(2);
-    for (const id of ['play', 'pause', 'step', 'reset', 'rate']) $(id).disabled = value.state === 'connected'; // no simulation: time is the robot's own
+    for (const id of ['play', 'pause', 'step', 'reset', 'rate']) $(id).disabled = value.state === 'connected'; // no simulation: time cannot be controlled
     videos.setState(value.state);
     panels.setDiagnostics(value.diagnostics);
   },
@@ -103,13 +103,13 @@ const on = {
   },
 };
 
-// The button names what it puts down: the list may be far away on a phone.
+// The button names the selected object: on a phone the list may be out of sight.
 function nameSpawn() {
   const chosen = $('catalogue').selectedOptions[0]?.text;
   document.querySelector('[data-mode=spawn]').textContent = chosen ? `Spawn ${chosen}` : 'Spawn';
 }
 
-// The rate that the simulation has, whoever has set it.
+// Shows the rate of the simulation, including changes by other clients.
 function showRate(rate) {
   const select = $('rate');
   if (rate === null || document.activeElement === select) return;
@@ -118,7 +118,7 @@ function showRate(rate) {
   select.value = text;
 }
 
-// Symbols of what the map shows.
+// Shows the symbols of the items on the map.
 function showLegend() {
   for (const li of document.querySelectorAll('#legend li')) {
     const shown = floor[li.dataset.of];
@@ -157,7 +157,7 @@ function togglePlots(shown) {
   plots.subscribe();
 }
 $('plots-toggle').onclick = () => togglePlots($('plot-card').hidden);
-$('robot').onchange = () => { driving.release(); chosen = $('robot').value; remember('robot', chosen); $('robot').blur(); };
+$('robot').onchange = () => { driving.release(); selectedRobot = $('robot').value; remember('robot', selectedRobot); $('robot').blur(); };
 $('play').onclick = () => send('time', { action: 'play' });
 $('pause').onclick = () => send('time', { action: 'pause' });
 $('step').onclick = () => send('time', { action: 'step', steps: 10 });
@@ -168,7 +168,7 @@ $('speed').oninput = () => { $('speed-value').textContent = Number($('speed').va
 document.addEventListener('visibilitychange', () => { driving.release(); watch(); plots.subscribe(); });
 setInterval(() => { $('images').textContent = videos.images; videos.images = 0; }, 1000);
 
-// The connection; lost ones are made again.
+// The connection; reconnects after a loss.
 
 function connect() {
   socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/socket`);
@@ -185,6 +185,6 @@ function connect() {
     setTimeout(connect, 1000);
   };
 }
-history.replaceState(null, '', location.pathname); // the token is in a cookie by now
+history.replaceState(null, '', location.pathname); // hide the token, which is now in a cookie
 togglePlots(remembered('plots-shown', false));
 connect();

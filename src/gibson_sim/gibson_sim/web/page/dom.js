@@ -1,4 +1,4 @@
-// Small helpers: elements, lists that keep their elements, what the browser remembers.
+// Helpers for elements, keyed lists and local storage.
 
 export const $ = (id) => document.getElementById(id);
 
@@ -8,7 +8,7 @@ export function element(tag, text = '', values = {}) {
   return e;
 }
 
-// Shows items as children of a parent. Elements are kept by key: one that is being pressed must not be replaced by an update.
+// Shows items as children of a parent. Elements are reused by key: an update must not replace an element while it is pressed.
 export function keyed(parent, items, key, make, update) {
   const old = new Map([...parent.children].map((child) => [child.dataset.key, child]));
   const children = items.map((item) => {
@@ -24,7 +24,7 @@ export function remembered(name, otherwise) {
   try { return JSON.parse(localStorage.getItem(name)) ?? otherwise; } catch { return otherwise; }
 }
 
-export function remember(name, value) { try { localStorage.setItem(name, JSON.stringify(value)); } catch { /* private windows have none */ } }
+export function remember(name, value) { try { localStorage.setItem(name, JSON.stringify(value)); } catch { /* unavailable in private windows */ } }
 
 export function note(text, bad = false) {
   const p = element('p', text, { className: bad ? 'bad' : '' });

@@ -1,4 +1,4 @@
-// Drives: keys, a stick and a gamepad. The command is repeated every 100 ms while it holds; the server stops the robot when the repeats end.
+// Driving with keys, joystick and gamepad. The command is repeated every 100 ms while nonzero; the server stops the robot when the repeats end.
 
 const KEYS = {
   KeyW: ['x', 1], ArrowUp: ['x', 1], KeyS: ['x', -1], ArrowDown: ['x', -1],
@@ -14,7 +14,7 @@ export class Driving {
     addEventListener('keydown', (event) => {
       const typing = event.target.closest && event.target.closest('input[type=text], input[type=number], textarea');
       if (!(event.code in KEYS) || event.ctrlKey || event.metaKey || event.altKey || typing) return;
-      if (event.target.closest?.('select, input[type=range]')) { // arrows set it; letters drive
+      if (event.target.closest?.('select, input[type=range]')) { // arrows change the control; letters drive
         if (event.code.startsWith('Arrow')) return;
         event.target.blur();
       }

@@ -1,7 +1,7 @@
-// The map: occupancy grid, robots, scan, paths, named places, doors and things, in metres; x right and y up at first.
+// The map: occupancy grid, robots, scan, paths, named poses, doors and objects, in metres; initially x right and y up.
 
-const MOST_TINTED = 16e6; // cells of a map that is drawn in the colours of the page
-const CLICK = 5, NEAR = 12; // pixels: a press that moved less is a click; a click this near to a thing means it
+const MOST_TINTED = 16e6; // largest number of cells of a map drawn in the colours of the page
+const CLICK = 5, NEAR = 12; // pixels: a press that moves less is a click; radius in which a click selects an object
 const dark = matchMedia('(prefers-color-scheme: dark)');
 
 export class FloorMap {
@@ -33,7 +33,7 @@ export class FloorMap {
     this.draw();
   }
 
-  // Free cells and obstacles in the colours of the page.
+  // Draws free cells and obstacles in the colours of the page.
   tint() {
     const g = this.grid;
     if (!g || g.width * g.height > MOST_TINTED) return;
@@ -48,7 +48,7 @@ export class FloorMap {
     g.tinted = canvas;
   }
 
-  // Whether the map shows a floor at a point; true without a map.
+  // Returns whether the map has floor at a point; true without a map.
   hasFloor(x, y) {
     const g = this.grid;
     if (!g) return true;
@@ -94,14 +94,14 @@ export class FloorMap {
     this.draw();
   }
 
-  // The thing that a click at a pixel means; '' = none.
+  // Returns the object selected by a click at a pixel; '' = none.
   thingAt(px, py) {
-    let found = '', nearest = NEAR;
+    let name = '', nearest = NEAR;
     for (const e of this.entities) {
       const [x, y] = this.screen(e.x, e.y), d = Math.hypot(x - px, y - py);
-      if (!e.robot && d < nearest) { found = e.name; nearest = d; }
+      if (!e.robot && d < nearest) { name = e.name; nearest = d; }
     }
-    return found;
+    return name;
   }
 
   down(event) {
@@ -159,7 +159,7 @@ export class FloorMap {
     if (!w || !h) return;
     if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) { canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio); }
     if (!this.view) { this.fit(); return; }
-    canvas.dataset.view = `${this.view.scale} ${this.view.x} ${this.view.y}`; // pixels a metre, and what is in the middle
+    canvas.dataset.view = `${this.view.scale} ${this.view.x} ${this.view.y}`; // pixels per metre, and the point at the centre
     const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue(name).trim(), scale = this.view.scale;
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, w, h);
@@ -203,7 +203,7 @@ export class FloorMap {
     c.stroke();
   }
 
-  // Writes a name beside a point, unless it would cover another one.
+  // Writes a label beside a point, unless it would overlap another label.
   label(text, x, y, gap, color, always = false) {
     const c = this.context, width = c.measureText(text).width, box = [x + gap, y - 7, x + gap + width, y + 7];
     const covers = this.labels.some((b) => box[0] < b[2] && box[2] > b[0] && box[1] < b[3] && box[3] > b[1]);
@@ -222,7 +222,7 @@ export class FloorMap {
     if (marked || this.view.scale > 70) this.label(e.name, x, y, 8, color(marked ? '--text' : '--accent'), marked);
   }
 
-  // A door or a drawer: a disc that is as full as it is open.
+  // Draws a door or a drawer: a disc filled in proportion to the opening.
   door(d, color) {
     const c = this.context, [x, y] = this.screen(d.x, d.y), body = d.joint.split('/')[0], marked = body === this.selected || body === this.hover;
     c.beginPath(); c.arc(x, y, 5, 0, 7); c.fillStyle = color('--card'); c.fill();
@@ -232,7 +232,7 @@ export class FloorMap {
   }
 
   place(p, color) {
-    if (p.name.includes('/') && this.view.scale < 90) return; // computed ones: rooms and starts first
+    if (p.name.includes('/') && this.view.scale < 90) return; // computed poses: rooms and starts have priority
     const c = this.context, [x, y] = this.screen(p.x, p.y);
     c.fillStyle = color('--soft'); c.beginPath(); c.arc(x, y, 2.5, 0, 7); c.fill();
     if (this.view.scale > 9) this.label(p.name, x, y, 5, color('--soft'));

@@ -1,4 +1,4 @@
-// The lists and buttons beside the map: doors, things, recording, task, diagnostics.
+// The lists and buttons beside the map: doors, objects, recording, task, diagnostics.
 import { $, element, keyed } from './dom.js';
 
 const words = (name) => name.replaceAll('_', ' ');
@@ -52,7 +52,7 @@ export class Panels {
 
   select(name) { this.selected = name; this.showThings(); this.onSelect(name); $('things').querySelector('[aria-selected=true]')?.scrollIntoView({ block: 'nearest' }); }
 
-  // Things, nearest first; × asks before it deletes.
+  // Objects, nearest first; × asks for confirmation before deleting.
   showThings() {
     const sorted = [...this.entities].sort((a, b) => b.robot - a.robot || this.distance(a) - this.distance(b));
     $('things-empty').hidden = this.entities.length > 0;

@@ -1,23 +1,23 @@
-// Plots of any number of any topic over the last minute.
+// Plots of numeric fields of topics over the last minute.
 import { $, element, note, remember, remembered } from './dom.js';
 
 const SPAN = 60; // seconds
 const MOST_CURVES = 16, MOST_IN_ONE = 4;
 const COLORS = ['--accent', '--curve-2', '--curve-3', '--curve-4'];
 
-// Ticks at round numbers: at most four between low and high.
+// Returns ticks at round numbers, at intervals of a quarter of the range or more.
 export function ticks(low, high) {
   const rough = (high - low) / 4, power = 10 ** Math.floor(Math.log10(rough)), step = [1, 2, 5, 10].map((f) => f * power).find((s) => s >= rough);
-  const first = Math.ceil(low / step), found = [];
-  for (let k = first; k * step <= high + step * 1e-9; k++) found.push(k * step);
-  return found;
+  const first = Math.ceil(low / step), values = [];
+  for (let k = first; k * step <= high + step * 1e-9; k++) values.push(k * step);
+  return values;
 }
 
-// What one wants to see of a message, best first; times last.
+// Default field of a message: patterns in order of preference; times last.
 const USEFUL = [/^twist\.twist\.linear\.x$/, /(^|\.)linear\.x$/, /(^|\.)position\.x$/, /^ranges\[/, /^(velocity|position)\[/, /^data$/, /^percentage$/, /linear_acceleration\.x$/, /translation\.x$/];
 const TIME = /(^|\.)(header|stamp|clock)\.|(^|\.)(sec|nanosec|covariance\[\d+\])$/;
 export function useful(paths) {
-  for (const wanted of USEFUL) { const found = paths.find((path) => wanted.test(path)); if (found) return found; }
+  for (const pattern of USEFUL) { const match = paths.find((path) => pattern.test(path)); if (match) return match; }
   return paths.find((path) => !TIME.test(path)) ?? paths[0] ?? '';
 }
 
@@ -67,10 +67,10 @@ export class Plots {
   get curves() { return this.plots.flatMap((p) => p.curves); }
 
   add(over) {
-    const found = this.fields.find((f) => f.path === $('plot-field').value), last = this.plots.at(-1);
-    if (!found) return;
+    const field = this.fields.find((f) => f.path === $('plot-field').value), last = this.plots.at(-1);
+    if (!field) return;
     if (this.curves.length >= MOST_CURVES) { note(`${MOST_CURVES} curves are plotted already: close one first`, true); return; }
-    if (over && last) { if (!last.curves.some((c) => keyOf(c) === keyOf(found))) last.curves.push(found); this.label(last); } else this.plots.push(this.make([found]));
+    if (over && last) { if (!last.curves.some((c) => keyOf(c) === keyOf(field))) last.curves.push(field); this.label(last); } else this.plots.push(this.make([field]));
     this.changed();
   }
 
@@ -102,7 +102,7 @@ export class Plots {
     this.draw();
   }
 
-  // Tells the server what is plotted: nothing while the plots are closed.
+  // Sends the plotted curves to the server: none while the plots are closed.
   subscribe() {
     const open = !$('plot-card').hidden && !document.hidden;
     $('plot-empty').hidden = this.plots.length > 0;
@@ -115,7 +115,7 @@ export class Plots {
   }
 
   addSamples(value) {
-    const offset = value.now - performance.now() / 1000; // the server's clock over the browser's; the quickest message is nearest to it
+    const offset = value.now - performance.now() / 1000; // the server's clock minus the browser's; the fastest message is the best estimate
     this.offset = this.offset === null || Math.abs(offset - this.offset) > 2 ? offset : Math.max(this.offset, offset);
     for (const [topic, path, samples] of value.curves) {
       const key = `${topic} ${path}`, kept = this.samples.get(key) || [];

@@ -1,4 +1,4 @@
-// The scene in 3-D, drawn by WebGL 2: orbit, move and zoom with the pointer, or follow a robot. World frame, metres, z up.
+// The scene in 3-D, rendered with WebGL 2: orbit, pan and zoom with the pointer, or follow a robot. World frame, metres, z up.
 
 const VERTEX = `#version 300 es
 uniform mat4 u_camera, u_link;
@@ -14,7 +14,7 @@ void main() {
   if (color.a < 0.05) discard;
   if (!u_unlit) color.rgb *= 0.62 + 0.38 * max(0.0, dot(normalize(v_normal), normalize(vec3(-0.35, -0.25, 0.9))));
 }`;
-const BYTES = 28; // a vertex
+const BYTES = 28; // per vertex
 
 const multiply = (a, b) => { const o = new Float32Array(16); for (let c = 0; c < 4; c++) for (let r = 0; r < 4; r++) { let s = 0; for (let k = 0; k < 4; k++) s += a[k * 4 + r] * b[c * 4 + k]; o[c * 4 + r] = s; } return o; };
 const perspective = (fov, aspect, near, far) => { const f = 1 / Math.tan(fov / 2), d = near - far; return new Float32Array([f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / d, -1, 0, 0, 2 * far * near / d, 0]); };
@@ -139,7 +139,7 @@ export class Scene3D {
     const eye = [this.target[0] + this.distance * ce * Math.cos(this.azimuth), this.target[1] + this.distance * ce * Math.sin(this.azimuth), this.target[2] + this.distance * Math.sin(this.elevation)];
     const camera = multiply(perspective(0.9, w / h, 0.05, 300), lookAt(eye, this.target));
     gl.viewport(0, 0, w, h); gl.clearColor(r, g, b, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.enable(gl.DEPTH_TEST); gl.enable(gl.CULL_FACE); gl.cullFace(gl.BACK); // walls between the eye and the room are seen through
+    gl.enable(gl.DEPTH_TEST); gl.enable(gl.CULL_FACE); gl.cullFace(gl.BACK); // back-face culling makes walls between the camera and the room invisible
     gl.useProgram(this.program); gl.bindVertexArray(m.array);
     gl.uniformMatrix4fv(this.at.u_camera, false, camera);
     let blending = null;

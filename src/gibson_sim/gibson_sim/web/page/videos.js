@@ -1,9 +1,9 @@
-// Images: live video of the chosen topics, and pictures of one or all of them.
+// Images: live video of the selected topics, and snapshots of one or all of them.
 import { $, download, element, fileName, note, remember, remembered } from './dom.js';
 import { zip } from './zip.js';
 
-const PATIENCE_MS = 5000; // for the pictures of all cameras
-const MOST = 16; // videos that a page may watch, as the server allows
+const PATIENCE_MS = 5000; // timeout for snapshots of all cameras
+const MOST = 16; // largest number of videos that the server allows
 
 export class Videos {
   constructor(onWatch) {
@@ -12,7 +12,7 @@ export class Videos {
     $('pictures').onclick = () => this.takeAll();
   }
 
-  // Topics to be sent: what is shown, and what is awaited for pictures.
+  // Topics to be sent: shown videos and awaited snapshots.
   get needed() { return [...new Set([...this.shown.keys(), ...this.wanted.keys()])].slice(0, MOST); }
 
   setTopics(topics) { this.topics = topics; this.update(); }
@@ -50,7 +50,7 @@ export class Videos {
     return { figure, canvas, why, save, context: canvas.getContext('2d') };
   }
 
-  // Says where there is no image why there is none.
+  // Explains why a video has no image.
   explain() {
     for (const [topic, video] of this.shown) {
       const waiting = this.state === 'paused' ? 'Time is paused, and no image has arrived yet: press Step.' : 'Waiting for the first image.';
@@ -65,7 +65,7 @@ export class Videos {
 
   setProblems(problems) { this.problems = problems; this.explain(); }
 
-  // One image that came: a JPEG file.
+  // Shows a received image, a JPEG file.
   async show(topic, stamp, data) {
     this.wanted.get(topic)?.(data);
     const video = this.shown.get(topic);
@@ -80,7 +80,7 @@ export class Videos {
     if (first) this.explain();
   }
 
-  // Takes a picture with every camera, and hands all of them over as one ZIP file.
+  // Takes a snapshot with every camera and downloads them as one ZIP file.
   async takeAll() {
     const topics = this.topics.slice(0, MOST);
     $('pictures').disabled = true;
