@@ -1,4 +1,4 @@
-"""Plans buildings: from a kind and a seed to rooms, furniture and lamps. Pure; see docs/making_scenes.md."""
+"""Plans buildings: rooms, furniture and lamps from a kind and a seed. Pure; see docs/making_scenes.md."""
 
 from gibson_sim_tools.making.planning.checks import check_building
 from gibson_sim_tools.making.planning.drawing import draw_plan

@@ -1,92 +1,93 @@
-"""Layouts of flats and houses: a few types of plan with random sizes."""
+"""Generates layouts of flats and houses: a few types of plan with random dimensions."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim_tools.making.planning.layout import OUTSIDE_THICKNESS, BuildingLayout, Flight, Level, Space, SpaceLink, one
+from gibson_sim_tools.making.planning.layout import OUTSIDE_THICKNESS, BuildingLayout, Flight, Level, Space, SpaceLink, rect_space
 from gibson_sim_tools.making.planning.rectangles import Rect
 
 _STAIR_WIDTH = 0.95
 _STEPS = 16
 _TREAD = 0.25
 _RUN = (_STEPS - 1) * _TREAD
+"""Horizontal length of a flight, m."""
 
 
 def flat_layout(rng: np.random.Generator) -> BuildingLayout:
     """Returns the layout of a flat: one storey, five to seven rooms."""
-    makers = (_corridor_flat, _hall_flat, _open_flat, _ell_flat, _small_flat)
-    spaces, links = makers[int(rng.integers(len(makers)))](rng)
-    return BuildingLayout((Level(_draw(rng, 2.5, 2.75), spaces, links),), _draw(rng, 0.1, 0.14))
+    layouts = (_corridor_flat, _hall_flat, _open_flat, _ell_flat, _small_flat)
+    spaces, links = layouts[int(rng.integers(len(layouts)))](rng)
+    return BuildingLayout((Level(_sample(rng, 2.5, 2.75), spaces, links),), _sample(rng, 0.1, 0.14))
 
 
 def house_layout(rng: np.random.Generator) -> BuildingLayout:
     """Returns the layout of a house of two storeys."""
-    # Half the thickness is a whole number of centimetres, so that stairs end at the face of a wall.
+    # Half the thickness must be a whole number of centimetres, so that stairs end at the face of a wall.
     partition = float(rng.choice((0.1, 0.12, 0.14)))
     return _side_hall_house(rng, partition) if rng.random() < 0.5 else _middle_hall_house(rng, partition)
 
 
-def _draw(rng: np.random.Generator, low: float, high: float) -> float:
-    """Returns a random length between two, in whole centimetres."""
+def _sample(rng: np.random.Generator, low: float, high: float) -> float:
+    """Samples a length between two limits, m, rounded to centimetres."""
     return round(float(rng.uniform(low, high)), 2)
 
 
 def _connection(rng: np.random.Generator, from_room: str, to_room: str, *, near: tuple[float, float] | None = None) -> SpaceLink:
-    """Returns a passage or a door, chosen at random."""
+    """Returns a link that is randomly a passage or a door."""
     wide = rng.random() < 0.6
-    return SpaceLink(from_room, to_room, "passage" if wide else "door", _draw(rng, 1.1, 1.5) if wide else 0.9, near)
+    return SpaceLink(from_room, to_room, "passage" if wide else "door", _sample(rng, 1.1, 1.5) if wide else 0.9, near)
 
 
 def _corridor_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
-    """A corridor from the entrance between living room above and kitchen, bath below; bedrooms at its end."""
+    """Returns a flat with a corridor between the living room above and kitchen and bath below, and bedrooms at its end."""
     large = rng.random() < 0.4
-    end = _draw(rng, 7.7, 8.1) if large else _draw(rng, 6.2, 7.0)
-    width = end + (_draw(rng, 3.1, 3.4) if large else _draw(rng, 3.2, 3.9))
-    lower, corridor, upper = _draw(rng, 3.1, 3.5), _draw(rng, 1.4, 1.55), _draw(rng, 3.9, 4.3)
-    living_end = end - _draw(rng, 2.6, 2.8) if large else end
+    end = _sample(rng, 7.7, 8.1) if large else _sample(rng, 6.2, 7.0)
+    width = end + (_sample(rng, 3.1, 3.4) if large else _sample(rng, 3.2, 3.9))
+    lower, corridor, upper = _sample(rng, 3.1, 3.5), _sample(rng, 1.4, 1.55), _sample(rng, 3.9, 4.3)
+    living_end = end - _sample(rng, 2.6, 2.8) if large else end
     y1, y2, depth = lower, lower + corridor, lower + corridor + upper
     bath_end = end - 1.5
-    kitchen_end = min(_draw(rng, 2.6, 3.0), bath_end - 2.0)
-    second = "study" if rng.random() < 0.35 and not large else "bedroom"
-    beside = (one("study", "study", living_end, y2, end, depth),) if large else ()
+    kitchen_end = min(_sample(rng, 2.6, 3.0), bath_end - 2.0)
+    second_kind = "study" if rng.random() < 0.35 and not large else "bedroom"
+    extra_rooms = (rect_space("study", "study", living_end, y2, end, depth),) if large else ()
     spaces = (
-        one("corridor", "corridor", 0, y1, end, y2),
-        one("living_room", "living", 0, y2, living_end, depth),
-        one("bedroom_1", "bedroom", end, y1, width, depth),
-        one("study" if second == "study" else "bedroom_2", second, bath_end, 0, width, y1),
-        one("bathroom", "bathroom", kitchen_end, 0, bath_end, y1),
-        one("kitchen", "kitchen", 0, 0, kitchen_end, y1),
-        *beside,
+        rect_space("corridor", "corridor", 0, y1, end, y2),
+        rect_space("living_room", "living", 0, y2, living_end, depth),
+        rect_space("bedroom_1", "bedroom", end, y1, width, depth),
+        rect_space("study" if second_kind == "study" else "bedroom_2", second_kind, bath_end, 0, width, y1),
+        rect_space("bathroom", "bathroom", kitchen_end, 0, bath_end, y1),
+        rect_space("kitchen", "kitchen", 0, 0, kitchen_end, y1),
+        *extra_rooms,
     )
     links = (
         SpaceLink("", "corridor", near=(0, y1 + corridor / 2)),
-        _connection(rng, "corridor", "living_room", near=(_draw(rng, 2.0, 4.5), y2)),
+        _connection(rng, "corridor", "living_room", near=(_sample(rng, 2.0, 4.5), y2)),
         SpaceLink("corridor", "bedroom_1", near=(end, y1 + corridor / 2)),
         SpaceLink("corridor", spaces[3].name, near=(end, y1)),
         SpaceLink("corridor", "bathroom", width=0.8),
         SpaceLink("corridor", "kitchen", sliding=bool(rng.random() < 0.25)),
-        *(SpaceLink("corridor", space.name) for space in beside),
+        *(SpaceLink("corridor", space.name) for space in extra_rooms),
     )
     return spaces, links
 
 
 def _hall_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
-    """A square hall below living room and bedroom, between the kitchen and the bath."""
-    left = _draw(rng, 3.0, 3.5)
-    right = left + _draw(rng, 2.9, 3.1)
-    width = right + _draw(rng, 2.5, 3.0)
-    middle = _draw(rng, 3.9, 4.3)
-    depth = middle + _draw(rng, 3.9, 4.6)
-    store = middle - _draw(rng, 2.1, 2.3)
+    """Returns a flat with a square hall below living room and bedroom, between kitchen and bath."""
+    left = _sample(rng, 3.0, 3.5)
+    right = left + _sample(rng, 2.9, 3.1)
+    width = right + _sample(rng, 2.5, 3.0)
+    middle = _sample(rng, 3.9, 4.3)
+    depth = middle + _sample(rng, 3.9, 4.6)
+    store = middle - _sample(rng, 2.1, 2.3)
     parting = round((left + right) / 2, 2)
     spaces = (
-        one("hall", "hall", left, 0, right, middle),
-        one("kitchen", "kitchen", 0, 0, left, middle),
-        one("living_room", "living", 0, middle, parting, depth),
-        one("bedroom", "bedroom", parting, middle, width, depth),
-        one("bathroom", "bathroom", right, store, width, middle),
-        one("storage", "storage", right, 0, width, store),
+        rect_space("hall", "hall", left, 0, right, middle),
+        rect_space("kitchen", "kitchen", 0, 0, left, middle),
+        rect_space("living_room", "living", 0, middle, parting, depth),
+        rect_space("bedroom", "bedroom", parting, middle, width, depth),
+        rect_space("bathroom", "bathroom", right, store, width, middle),
+        rect_space("storage", "storage", right, 0, width, store),
     )
     links = (
         SpaceLink("", "hall", near=((left + right) / 2, 0)),
@@ -95,51 +96,51 @@ def _hall_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Space
         SpaceLink("hall", "kitchen", near=(left, 1.0)),
         SpaceLink("hall", "bathroom", width=0.8, near=(right, middle - 0.7)),
         SpaceLink("hall", "storage", near=(right, 0.8), sliding=bool(rng.random() < 0.4)),
-        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.2, 1.7), near=(_draw(rng, 1.0, left - 0.6), middle)),
+        SpaceLink("kitchen", "living_room", "passage", _sample(rng, 1.2, 1.7), near=(_sample(rng, 1.0, left - 0.6), middle)),
     )
     return spaces, links
 
 
 def _small_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
-    """A short corridor between bedroom and bath leads to the living room; the kitchen lies open beside it."""
-    left = _draw(rng, 4.5, 4.9)
-    width = left + _draw(rng, 3.6, 3.9)
-    lower, corridor = _draw(rng, 2.5, 2.8), _draw(rng, 1.4, 1.5)
+    """Returns a flat with a short corridor between bedroom and bath, a living room, and a kitchen open to it."""
+    left = _sample(rng, 4.5, 4.9)
+    width = left + _sample(rng, 3.6, 3.9)
+    lower, corridor = _sample(rng, 2.5, 2.8), _sample(rng, 1.4, 1.5)
     upper = lower + corridor
-    depth = upper + _draw(rng, 3.4, 3.8)
+    depth = upper + _sample(rng, 3.4, 3.8)
     spaces = (
-        one("corridor", "corridor", left, lower, width, upper),
-        one("living_room", "living", 0, lower, left, depth),
-        one("kitchen", "kitchen", 0, 0, left, lower),
-        one("bathroom", "bathroom", left, 0, width, lower),
-        one("bedroom", "bedroom", left, upper, width, depth),
+        rect_space("corridor", "corridor", left, lower, width, upper),
+        rect_space("living_room", "living", 0, lower, left, depth),
+        rect_space("kitchen", "kitchen", 0, 0, left, lower),
+        rect_space("bathroom", "bathroom", left, 0, width, lower),
+        rect_space("bedroom", "bedroom", left, upper, width, depth),
     )
     links = (
         SpaceLink("", "corridor", near=(width, lower + corridor / 2)),
         SpaceLink("corridor", "living_room", near=(left, lower + corridor / 2)),
         SpaceLink("corridor", "bathroom", width=0.8),
         SpaceLink("corridor", "bedroom"),
-        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.4, 2.4), near=(_draw(rng, 1.5, left - 1.2), lower)),
+        SpaceLink("kitchen", "living_room", "passage", _sample(rng, 1.4, 2.4), near=(_sample(rng, 1.5, left - 1.2), lower)),
     )
     return spaces, links
 
 
 def _open_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
-    """Living room and kitchen side by side and open to each other; a hall parts them from bedrooms and bath."""
-    left = _draw(rng, 4.4, 5.2)
-    hall = left + _draw(rng, 1.45, 1.6)
-    width = hall + _draw(rng, 3.2, 3.8)
-    depth = _draw(rng, 8.5, 9.2)
-    kitchen = _draw(rng, 2.9, 3.3)
-    top = depth - _draw(rng, 3.0, 3.5)
-    bath = top - _draw(rng, 2.1, 2.4)
+    """Returns a flat with an open kitchen beside the living room, and a hall between these and bedrooms and bath."""
+    left = _sample(rng, 4.4, 5.2)
+    hall = left + _sample(rng, 1.45, 1.6)
+    width = hall + _sample(rng, 3.2, 3.8)
+    depth = _sample(rng, 8.5, 9.2)
+    kitchen = _sample(rng, 2.9, 3.3)
+    top = depth - _sample(rng, 3.0, 3.5)
+    bath = top - _sample(rng, 2.1, 2.4)
     spaces = (
-        one("hall", "hall", left, 0, hall, top),
-        one("kitchen", "kitchen", 0, 0, left, kitchen),
-        one("living_room", "living", 0, kitchen, left, depth),
-        one("bedroom_1", "bedroom", left, top, width, depth),
-        one("bathroom", "bathroom", hall, bath, width, top),
-        one("bedroom_2", "bedroom", hall, 0, width, bath),
+        rect_space("hall", "hall", left, 0, hall, top),
+        rect_space("kitchen", "kitchen", 0, 0, left, kitchen),
+        rect_space("living_room", "living", 0, kitchen, left, depth),
+        rect_space("bedroom_1", "bedroom", left, top, width, depth),
+        rect_space("bathroom", "bathroom", hall, bath, width, top),
+        rect_space("bedroom_2", "bedroom", hall, 0, width, bath),
     )
     links = (
         SpaceLink("", "hall", near=((left + hall) / 2, 0)),
@@ -147,27 +148,27 @@ def _open_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Space
         SpaceLink("hall", "bedroom_1", near=((left + hall) / 2, top)),
         SpaceLink("hall", "bathroom", width=0.8),
         SpaceLink("hall", "bedroom_2", near=(hall, bath)),
-        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.9, 2.6), near=(_draw(rng, 1.5, left - 1.2), kitchen)),
+        SpaceLink("kitchen", "living_room", "passage", _sample(rng, 1.9, 2.6), near=(_sample(rng, 1.5, left - 1.2), kitchen)),
     )
     return spaces, links
 
 
 def _ell_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
-    """Two wings: living room and kitchen in one, bath and bedrooms along a corridor with windows in the other."""
-    wing = _draw(rng, 4.3, 5.0)
-    lower, corridor = _draw(rng, 3.2, 3.6), _draw(rng, 1.55, 1.7)
-    bath = wing + _draw(rng, 2.1, 2.5)
-    end = bath + _draw(rng, 3.0, 3.4)
-    width = end + _draw(rng, 3.1, 3.6)
-    y2, depth = lower + corridor, lower + _draw(rng, 4.8, 5.6)
+    """Returns a flat in two wings: living room and kitchen in one, bath and bedrooms along a corridor with windows in the other."""
+    wing = _sample(rng, 4.3, 5.0)
+    lower, corridor = _sample(rng, 3.2, 3.6), _sample(rng, 1.55, 1.7)
+    bath = wing + _sample(rng, 2.1, 2.5)
+    end = bath + _sample(rng, 3.0, 3.4)
+    width = end + _sample(rng, 3.1, 3.6)
+    y2, depth = lower + corridor, lower + _sample(rng, 4.8, 5.6)
     last = "study" if rng.random() < 0.4 else "bedroom"
     spaces = (
-        one("corridor", "corridor", wing, lower, end, y2),
-        one("living_room", "living", 0, lower, wing, depth),
-        one("kitchen", "kitchen", 0, 0, wing, lower),
-        one("bathroom", "bathroom", wing, 0, bath, lower),
-        one("study" if last == "study" else "bedroom_2", last, bath, 0, end, lower),
-        one("bedroom_1", "bedroom", end, 0, width, y2),
+        rect_space("corridor", "corridor", wing, lower, end, y2),
+        rect_space("living_room", "living", 0, lower, wing, depth),
+        rect_space("kitchen", "kitchen", 0, 0, wing, lower),
+        rect_space("bathroom", "bathroom", wing, 0, bath, lower),
+        rect_space("study" if last == "study" else "bedroom_2", last, bath, 0, end, lower),
+        rect_space("bedroom_1", "bedroom", end, 0, width, y2),
     )
     links = (
         SpaceLink("", "corridor", near=(wing + 1.6, y2)),
@@ -175,13 +176,13 @@ def _ell_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceL
         SpaceLink("corridor", "bathroom", width=0.8),
         SpaceLink("corridor", spaces[4].name),
         SpaceLink("corridor", "bedroom_1", near=(end, lower + corridor / 2)),
-        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.2, 2.2), near=(_draw(rng, 1.2, wing - 1.0), lower)),
+        SpaceLink("kitchen", "living_room", "passage", _sample(rng, 1.2, 2.2), near=(_sample(rng, 1.2, wing - 1.0), lower)),
     )
     return spaces, links
 
 
 def _flight(hall_start: float, partition: float, outer: bool, foot: float, front: float) -> Flight:
-    """Returns the stair along the left wall of a hall, rising along y; ``front``: centre of the wall before its hole on the upper storey."""
+    """Returns the stair along the left wall of a hall, ascending along y. ``front``: centre line of the wall in front of the opening above."""
     x0 = round(hall_start + (OUTSIDE_THICKNESS if outer else partition) / 2, 3)
     middle = round(x0 + _STAIR_WIDTH / 2, 3)
     hole = Rect(x0, round(front + partition / 2, 3), round(x0 + _STAIR_WIDTH, 3), round(foot + _RUN, 3))
@@ -189,58 +190,58 @@ def _flight(hall_start: float, partition: float, outer: bool, foot: float, front
 
 
 def _side_hall_house(rng: np.random.Generator, partition: float) -> BuildingLayout:
-    """A narrow house: the hall with the stair along one outer wall, all rooms on its other side."""
-    hall = _draw(rng, 2.4, 2.55)
-    width = hall + _draw(rng, 4.5, 5.4)
-    depth = _draw(rng, 7.7, 8.4)
-    foot = _draw(rng, 1.75, 1.9)
+    """Returns a narrow house: hall and stair along one outer wall, all rooms on the other side."""
+    hall = _sample(rng, 2.4, 2.55)
+    width = hall + _sample(rng, 4.5, 5.4)
+    depth = _sample(rng, 7.7, 8.4)
+    foot = _sample(rng, 1.75, 1.9)
     front, back = round(foot + 0.35, 2), round(foot + _RUN + partition / 2, 2)
-    kitchen, parting = _draw(rng, 3.0, 3.4), _draw(rng, 3.7, depth - 3.9)
+    kitchen, parting = _sample(rng, 3.0, 3.4), _sample(rng, 3.7, depth - 3.9)
     ground = (
-        one("hall", "hall", 0, 0, hall, back),
-        one("toilet", "toilet", 0, back, hall, depth),
-        one("kitchen", "kitchen", hall, 0, width, kitchen),
-        one("living_room", "living", hall, kitchen, width, depth),
+        rect_space("hall", "hall", 0, 0, hall, back),
+        rect_space("toilet", "toilet", 0, back, hall, depth),
+        rect_space("kitchen", "kitchen", hall, 0, width, kitchen),
+        rect_space("living_room", "living", hall, kitchen, width, depth),
     )
     ground_links = (
         SpaceLink("", "hall", near=(hall - 0.7, 0)),
         SpaceLink("hall", "toilet", width=0.8, near=(hall - 0.6, back)),
         SpaceLink("hall", "kitchen", near=(hall, 2.0), sliding=bool(rng.random() < 0.4)),
         SpaceLink("hall", "living_room", near=(hall, kitchen + 1.2)),
-        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.2, 2.0), near=(width - 1.6, kitchen)),
+        SpaceLink("kitchen", "living_room", "passage", _sample(rng, 1.2, 2.0), near=(width - 1.6, kitchen)),
     )
     upper = (
-        one("upper_hall", "hall", 0, front, hall, depth),
-        one("bathroom", "bathroom", 0, 0, hall, front),
-        one("bedroom_1", "bedroom", hall, parting, width, depth),
-        one("bedroom_2", "bedroom", hall, 0, width, parting),
+        rect_space("upper_hall", "hall", 0, front, hall, depth),
+        rect_space("bathroom", "bathroom", 0, 0, hall, front),
+        rect_space("bedroom_1", "bedroom", hall, parting, width, depth),
+        rect_space("bedroom_2", "bedroom", hall, 0, width, parting),
     )
     upper_links = (
         SpaceLink("upper_hall", "bathroom", width=0.8, near=(hall - 0.6, front)),
         SpaceLink("upper_hall", "bedroom_1", near=(hall, parting + 0.8)),
         SpaceLink("upper_hall", "bedroom_2", near=(hall, parting - 0.8)),
     )
-    height = _draw(rng, 2.5, 2.6)
+    height = _sample(rng, 2.5, 2.6)
     levels = (Level(height, ground, ground_links, ("hall",)), Level(height, upper, upper_links))
     return BuildingLayout(levels, partition, (_flight(0.0, partition, True, foot, front),))
 
 
 def _middle_hall_house(rng: np.random.Generator, partition: float) -> BuildingLayout:
-    """A wide house: the hall with the stair in its middle, rooms on both sides."""
-    left = _draw(rng, 3.9, 4.3)
-    hall = left + _draw(rng, 2.4, 2.55)
-    width = hall + _draw(rng, 3.2, 3.7)
-    depth = _draw(rng, 7.7, 8.2)
-    foot = _draw(rng, 1.75, 1.9)
+    """Returns a wide house: hall and stair in the middle, rooms on both sides."""
+    left = _sample(rng, 3.9, 4.3)
+    hall = left + _sample(rng, 2.4, 2.55)
+    width = hall + _sample(rng, 3.2, 3.7)
+    depth = _sample(rng, 7.7, 8.2)
+    foot = _sample(rng, 1.75, 1.9)
     front, back = round(foot + 0.35, 2), round(foot + _RUN + partition / 2, 2)
-    kitchen, parting, suite = _draw(rng, 3.9, 4.3), _draw(rng, 3.7, depth - 3.8), _draw(rng, 2.3, 2.6)
+    kitchen, parting, suite = _sample(rng, 3.9, 4.3), _sample(rng, 3.7, depth - 3.8), _sample(rng, 2.3, 2.6)
     room = "study" if rng.random() < 0.6 else "bedroom"
     ground = (
-        one("hall", "hall", left, 0, hall, back),
-        one("toilet", "toilet", left, back, hall, depth),
-        one("living_room", "living", 0, 0, left, depth),
-        one("study" if room == "study" else "guest_room", room, hall, 0, width, depth - kitchen),
-        one("kitchen", "kitchen", hall, depth - kitchen, width, depth),
+        rect_space("hall", "hall", left, 0, hall, back),
+        rect_space("toilet", "toilet", left, back, hall, depth),
+        rect_space("living_room", "living", 0, 0, left, depth),
+        rect_space("study" if room == "study" else "guest_room", room, hall, 0, width, depth - kitchen),
+        rect_space("kitchen", "kitchen", hall, depth - kitchen, width, depth),
     )
     ground_links = (
         SpaceLink("", "hall", near=(hall - 0.7, 0)),
@@ -250,12 +251,12 @@ def _middle_hall_house(rng: np.random.Generator, partition: float) -> BuildingLa
         SpaceLink("hall", ground[3].name, near=(hall, depth - kitchen - 0.8)),
     )
     upper = (
-        one("upper_hall", "hall", left, front, hall, depth),
-        one("bathroom", "bathroom", left, 0, hall, front),
-        one("bedroom_1", "bedroom", 0, suite, left, depth),
-        one("ensuite", "bathroom", 0, 0, left, suite),
-        one("bedroom_2", "bedroom", hall, parting, width, depth),
-        one("bedroom_3", "bedroom", hall, 0, width, parting),
+        rect_space("upper_hall", "hall", left, front, hall, depth),
+        rect_space("bathroom", "bathroom", left, 0, hall, front),
+        rect_space("bedroom_1", "bedroom", 0, suite, left, depth),
+        rect_space("ensuite", "bathroom", 0, 0, left, suite),
+        rect_space("bedroom_2", "bedroom", hall, parting, width, depth),
+        rect_space("bedroom_3", "bedroom", hall, 0, width, parting),
     )
     upper_links = (
         SpaceLink("upper_hall", "bathroom", width=0.8, near=(hall - 0.6, front)),
@@ -264,6 +265,6 @@ def _middle_hall_house(rng: np.random.Generator, partition: float) -> BuildingLa
         SpaceLink("upper_hall", "bedroom_2", near=(hall, parting + 0.8)),
         SpaceLink("upper_hall", "bedroom_3", near=(hall, parting - 0.8)),
     )
-    height = _draw(rng, 2.5, 2.6)
+    height = _sample(rng, 2.5, 2.6)
     levels = (Level(height, ground, ground_links, ("hall",)), Level(height, upper, upper_links))
     return BuildingLayout(levels, partition, (_flight(left, partition, False, foot, front),))

@@ -1,4 +1,4 @@
-"""Layouts of buildings: rooms, their rectangles and their connections, without walls. The result of the layout functions of each kind."""
+"""Layout of a building: rooms, their rectangles and their connections, without walls. Result of the layout functions."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from gibson_sim_tools.making.building import Point
 from gibson_sim_tools.making.planning.rectangles import Rect, spanning
 
 OUTSIDE_THICKNESS = 0.3
+"""Thickness of outside walls, m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """A room: adjacent rectangles."""
+    """A room as a union of adjacent rectangles."""
 
     name: str
     kind: str
@@ -27,13 +28,13 @@ class SpaceLink:
     """A door or a passage between two spaces."""
 
     from_room: str
-    """Empty = outside."""
+    """Name of a room; empty = outside."""
     to_room: str
-    """The room into which a door opens."""
+    """Name of the room into which a door opens."""
     kind: Literal["door", "passage"] = "door"
     width: float = 0.9
     near: Point | None = None
-    """Preferred position; None = anywhere."""
+    """Preferred position, m; None = anywhere."""
     sliding: bool = False
 
 
@@ -42,12 +43,13 @@ class Flight:
     """A straight flight of stairs to the storey above."""
 
     foot: Point
+    """Centre of the first edge, m."""
     top: Point
-    """Centres of the first and the last edge."""
+    """Centre of the last edge, m."""
     width: float
     steps: int
     hole: Rect
-    """Hole in the floor above."""
+    """Opening in the floor above."""
     lower_room: str
     upper_room: str
 
@@ -60,7 +62,7 @@ class Level:
     spaces: tuple[Space, ...]
     links: tuple[SpaceLink, ...]
     windowless: tuple[str, ...] = ()
-    """Rooms without windows."""
+    """Names of rooms without windows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,22 +71,22 @@ class BuildingLayout:
 
     levels: tuple[Level, ...]
     partition: float
-    """Thickness of inside walls, metres."""
+    """Thickness of inside walls, m."""
     flights: tuple[Flight, ...] = ()
     slab: float = 0.3
-    """Thickness of the floor between two storeys, metres."""
+    """Thickness of the floor between two storeys, m."""
 
     def bounds(self) -> Rect:
-        """Returns the rectangle around all storeys."""
+        """Returns the bounding rectangle of all storeys."""
         return spanning(p for level in self.levels for s in level.spaces for r in s.rects for p in ((r.x0, r.y0), (r.x1, r.y1)))
 
 
-def one(name: str, kind: str, x0: float, y0: float, x1: float, y1: float) -> Space:
-    """Returns a space of one rectangle, rounded to whole centimetres."""
+def rect_space(name: str, kind: str, x0: float, y0: float, x1: float, y1: float) -> Space:
+    """Returns a space of one rectangle, rounded to centimetres."""
     return Space(name, kind, (Rect(round(x0, 2), round(y0, 2), round(x1, 2), round(y1, 2)),))
 
 
-def turned(layout: BuildingLayout, rng: np.random.Generator) -> BuildingLayout:
+def random_orientation(layout: BuildingLayout, rng: np.random.Generator) -> BuildingLayout:
     """Returns the layout, randomly mirrored and transposed, with its lower left corner at the origin."""
     mirror, swap = bool(rng.integers(2)), bool(rng.integers(2))
     bounds = layout.bounds()
@@ -92,8 +94,8 @@ def turned(layout: BuildingLayout, rng: np.random.Generator) -> BuildingLayout:
     def point(p: Point) -> Point:
         x = bounds.x1 - p[0] if mirror else p[0] - bounds.x0
         y = p[1] - bounds.y0
-        moved = (y, x) if swap else (x, y)
-        return (round(moved[0], 3), round(moved[1], 3))
+        mapped = (y, x) if swap else (x, y)
+        return (round(mapped[0], 3), round(mapped[1], 3))
 
     def rect(r: Rect) -> Rect:
         return spanning((point((r.x0, r.y0)), point((r.x1, r.y1))))

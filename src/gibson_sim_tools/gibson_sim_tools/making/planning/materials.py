@@ -18,9 +18,9 @@ class Palette:
     """Materials of one building."""
 
     floor: str
-    """Floor of living rooms and corridors."""
+    """Floor material of living rooms and corridors."""
     soft_floor: str
-    """Floor of bedrooms and offices."""
+    """Floor material of bedrooms and offices."""
     wet_floor: str
     wet_walls: str
     kitchen_floor: str
@@ -28,11 +28,11 @@ class Palette:
     store_floor: str
     walls: str
     accents: tuple[str, ...]
-    """Walls of some rooms."""
+    """Wall materials of some rooms."""
 
 
 def palette(kind: BuildingKind, rng: np.random.Generator) -> Palette:
-    """Returns a random palette for a kind of building."""
+    """Samples a palette for a kind of building."""
 
     def pick(*names: str) -> str:
         return names[int(rng.integers(len(names)))]
@@ -64,7 +64,7 @@ def palette(kind: BuildingKind, rng: np.random.Generator) -> Palette:
 
 
 def surfaces(colours: Palette, kind: str, rng: np.random.Generator) -> tuple[str, str]:
-    """Returns the materials of floor and walls for a kind of room."""
+    """Samples the materials of floor and walls for a kind of room."""
     if kind in _WET:
         return colours.wet_floor, colours.wet_walls
     if kind in _COOKING:

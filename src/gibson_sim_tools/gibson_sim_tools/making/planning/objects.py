@@ -1,4 +1,4 @@
-"""Sizes of movable bodies and geometry of door leaves: what plans need to know about ``scenes/objects``."""
+"""Sizes of movable bodies and geometry of door leaves: the properties of ``scenes/objects`` that plans use."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ SIZES: dict[str, Vec3] = {
     "fridge_body": (0.68, 0.6, 1.78),
     "oven_body": (0.6, 0.595, 0.6),
 }
-"""Bounding box of each object, centred on its origin in x and y: depth (x), width (y), height (z), metres."""
+"""Size of the bounding box of each object, centred on its origin in x and y: depth (x), width (y), height (z), m."""
 
 DOOR_HEIGHT = 2.0
-_LEAF = 0.04
-_PIVOT = 0.022
-"""Distance from the jamb to the axis of a hinge, metres."""
+_LEAF_THICKNESS = 0.04
+_HINGE_OFFSET = 0.022
+"""Distance from the jamb to the axis of a hinge, m."""
 _SLIDING_WIDTH = 0.94
 _SLIDING_LEAF = 0.035
 _SLIDING_OFFSET = 0.05
@@ -64,7 +64,7 @@ def is_door(body: Body) -> bool:
 
 
 def body_box(body: Body) -> Box:
-    """Returns the axis-aligned bounding box of a body; for a leaf, at its joint position."""
+    """Returns the axis-aligned bounding box of a body; that of a door leaf at its joint position."""
     if is_door(body):
         return Box(leaf_rect(body), body.position[2], body.position[2] + DOOR_HEIGHT + 0.1)
     depth, width, height = SIZES[body.model]
@@ -73,7 +73,7 @@ def body_box(body: Body) -> Box:
 
 def leaf_corners(body: Body) -> tuple[Point, ...]:
     """Returns the four corners of a door leaf at its joint position, seen from above."""
-    yaw, x0, x1, half = body.yaw, -0.02, 0.874 if "90" in body.model else 0.774, _LEAF / 2
+    yaw, x0, x1, half = body.yaw, -0.02, 0.874 if "90" in body.model else 0.774, _LEAF_THICKNESS / 2
     if body.model.startswith("sliding"):
         x0, half = body.joints.get("slide", 0.0), _SLIDING_LEAF / 2
         x1 = x0 + _SLIDING_WIDTH
@@ -92,7 +92,7 @@ def leaf_rect(body: Body) -> Rect:
 
 
 def door_model(opening_width: float, swing: int, hinge: str) -> str:
-    """Returns the object of a door: a leaf is left-handed if it turns counter-clockwise as it opens."""
+    """Returns the name of a door's object; a leaf is left-handed if it rotates counter-clockwise as it opens."""
     hand = "left" if (swing > 0) == (hinge == "start") else "right"
     return f"door_{round(opening_width * 100)}_{hand}"
 
@@ -101,38 +101,38 @@ def door_body(name: str, wall: Wall, opening: Opening, floor_z: float, joint: fl
     """Returns the body of a door leaf in its opening.
 
     Args:
-        name: of the body.
+        name: name of the body.
         wall: wall of the opening.
         opening: opening with ``body`` set.
-        floor_z: of the storey, metres.
-        joint: joint position: radians, or metres for a sliding door.
+        floor_z: height of the storey's floor, metres.
+        joint: joint position, radians; metres for a sliding door.
     """
     length = math.dist(wall.start, wall.end)
     along = ((wall.end[0] - wall.start[0]) / length, (wall.end[1] - wall.start[1]) / length)
     side = (-along[1] * opening.swing, along[0] * opening.swing)
     sliding = opening.body.startswith("sliding")
     if sliding:
-        # It slides towards its "hinge", so its closing edge is the other one.
-        at, ahead = (
+        # It slides towards its "hinge"; its closing edge is at the other end.
+        at, direction = (
             (opening.middle + opening.width / 2 + 0.02, -1.0)
             if opening.hinge == "start"
             else (opening.middle - opening.width / 2 - 0.02, 1.0)
         )
-        off = wall.thickness / 2 + _SLIDING_OFFSET
+        offset = wall.thickness / 2 + _SLIDING_OFFSET
     else:
-        at, ahead = (
-            (opening.middle - opening.width / 2 + _PIVOT, 1.0)
+        at, direction = (
+            (opening.middle - opening.width / 2 + _HINGE_OFFSET, 1.0)
             if opening.hinge == "start"
-            else (opening.middle + opening.width / 2 - _PIVOT, -1.0)
+            else (opening.middle + opening.width / 2 - _HINGE_OFFSET, -1.0)
         )
-        off = wall.thickness / 2 - _LEAF / 2 - 0.005
-    x = wall.start[0] + along[0] * at + side[0] * off
-    y = wall.start[1] + along[1] * at + side[1] * off
+        offset = wall.thickness / 2 - _LEAF_THICKNESS / 2 - 0.005
+    x = wall.start[0] + along[0] * at + side[0] * offset
+    y = wall.start[1] + along[1] * at + side[1] * offset
     joints = {"slide": min(joint, _SLIDING_TRAVEL)} if sliding else {"hinge": joint}
     return Body(
         name,
         opening.body,
         (round(x, 4), round(y, 4), floor_z),
-        round(math.atan2(along[1] * ahead, along[0] * ahead), 6) + 0.0,
+        round(math.atan2(along[1] * direction, along[0] * direction), 6) + 0.0,
         joints,
     )

@@ -14,18 +14,18 @@ from gibson_sim_tools.making.planning.rectangles import Rect
 from gibson_sim_tools.making.planning.rooms import WallFace, door_zones, face_of, window_zone
 
 _MARGIN = 0.24
-"""Distance from the end of a wall's centre line to an opening, metres: half a wall and the clearance of a door."""
+"""Distance from the end of a wall's centre line to an opening, m: half a wall thickness plus the clearance of a door."""
 
 
 def with_doors(walls: tuple[Wall, ...], links: tuple[SpaceLink, ...], rng: np.random.Generator) -> tuple[Wall, ...] | None:
-    """Returns the walls with a door or a passage for each link; None if one does not fit."""
+    """Adds a door or a passage for each link to the walls; returns None if one does not fit."""
     current = list(walls)
     for link in links:
-        places = [(index, opening) for index, wall in enumerate(current) for opening in _places(wall, link, rng)]
+        candidates = [(index, opening) for index, wall in enumerate(current) for opening in _candidate_openings(wall, link, rng)]
         if link.near is not None:
             near = link.near
-            places.sort(key=lambda place: round(math.dist(_on(current[place[0]], place[1].middle), near), 3))
-        for index, opening in places:
+            candidates.sort(key=lambda place: round(math.dist(_point_on_wall(current[place[0]], place[1].middle), near), 3))
+        for index, opening in candidates:
             if _is_free(current, current[index], opening):
                 current[index] = replace(current[index], openings=(*current[index].openings, opening))
                 break
@@ -34,14 +34,14 @@ def with_doors(walls: tuple[Wall, ...], links: tuple[SpaceLink, ...], rng: np.ra
     return tuple(current)
 
 
-def _on(wall: Wall, along: float) -> Point:
+def _point_on_wall(wall: Wall, along: float) -> Point:
     """Returns a point on a wall's centre line."""
     part = along / math.dist(wall.start, wall.end)
     return (wall.start[0] + (wall.end[0] - wall.start[0]) * part, wall.start[1] + (wall.end[1] - wall.start[1]) * part)
 
 
-def _places(wall: Wall, link: SpaceLink, rng: np.random.Generator) -> list[Opening]:
-    """Returns the possible openings of a link in a wall, the best first: doors near a corner, with the hinge on that side."""
+def _candidate_openings(wall: Wall, link: SpaceLink, rng: np.random.Generator) -> list[Opening]:
+    """Returns candidate openings for a link in a wall, the best first: doors near a corner, with the hinge on that side."""
     if {wall.left, wall.right} != {link.from_room, link.to_room}:
         return []
     length = math.dist(wall.start, wall.end)
@@ -54,7 +54,7 @@ def _places(wall: Wall, link: SpaceLink, rng: np.random.Generator) -> list[Openi
 
 
 def _opening(wall: Wall, link: SpaceLink, middle: float, hinge: str) -> Opening:
-    """Returns the door or passage of a link."""
+    """Returns the door or passage for a link."""
     if link.kind == "passage":
         return Opening("passage", middle, link.width, 0.0, 2.1)
     swing = 1 if wall.left == link.to_room else -1
@@ -65,7 +65,7 @@ def _opening(wall: Wall, link: SpaceLink, middle: float, hinge: str) -> Opening:
 
 
 def _is_free(walls: list[Wall], wall: Wall, opening: Opening) -> bool:
-    """Returns whether an opening is free of the leaves of other doors, and they of its leaf."""
+    """Returns whether an opening is clear of the leaves of other doors, and its leaf clear of other openings."""
     for room in (wall.left, wall.right):
         if not room:
             continue
@@ -75,13 +75,13 @@ def _is_free(walls: list[Wall], wall: Wall, opening: Opening) -> bool:
                 continue
             face = face_of(other_wall, room)
             for other in other_wall.openings:
-                apart = (
+                is_too_close = (
                     0.3
                     if other_wall is wall and abs(other.middle - opening.middle) < (other.width + opening.width) / 2 + 0.3
                     else 0.0
                 )
-                turns = _turns_here(face, other) or _turns_here(face_of(wall, room), opening)
-                if apart or (turns and any(a.overlaps(b) for a in zones for b in door_zones(face, other))):
+                has_swing = _swings_to(face, other) or _swings_to(face_of(wall, room), opening)
+                if is_too_close or (has_swing and any(a.overlaps(b) for a in zones for b in door_zones(face, other))):
                     return False
     if opening.body.startswith("sliding"):
         length = math.dist(wall.start, wall.end)
@@ -90,13 +90,13 @@ def _is_free(walls: list[Wall], wall: Wall, opening: Opening) -> bool:
     return True
 
 
-def _turns_here(face: WallFace, opening: Opening) -> bool:
+def _swings_to(face: WallFace, opening: Opening) -> bool:
     """Returns whether the leaf of an opening swings to this side of its wall."""
     return opening.kind == "door" and opening.swing == face.side
 
 
 _WINDOWS: dict[str, tuple[float, float, float, float]] = {
-    # Least and largest width, sill, height.
+    # Minimum and maximum width, sill, height, m.
     "living": (1.4, 2.1, 0.9, 1.35),
     "bedroom": (1.1, 1.6, 0.9, 1.3),
     "study": (1.1, 1.5, 0.9, 1.3),
@@ -112,21 +112,21 @@ _WINDOWS: dict[str, tuple[float, float, float, float]] = {
     "meeting": (1.3, 1.7, 0.9, 1.5),
     "shop": (1.8, 2.6, 0.45, 1.95),
 }
-_MANY = ("living", "open_office", "meeting", "office", "shop", "bedroom")
-"""Kinds of rooms with windows in more than one wall."""
+_SEVERAL_WINDOWS = ("living", "open_office", "meeting", "office", "shop", "bedroom")
+"""Kinds of rooms with several windows per wall, and in more than one wall."""
 
 
 def with_windows(
     walls: tuple[Wall, ...], level: Level, keep_off: tuple[Rect, ...], front: Rect, rng: np.random.Generator
 ) -> tuple[Wall, ...]:
-    """Returns the walls with windows in the outside walls.
+    """Adds windows to the outside walls.
 
     Args:
-        walls: of the storey, with their doors.
+        walls: walls of the storey, with their doors.
         level: layout of the storey.
-        keep_off: stairs; no window is beside them.
-        front: the side of the entrance; a shop has windows on that side only.
-        rng: decides number and width.
+        keep_off: stairs; no windows are placed beside them.
+        front: side of the entrance; a shop has windows only on that side.
+        rng: samples number and width.
     """
     current = list(walls)
     for space in level.spaces:
@@ -135,34 +135,34 @@ def with_windows(
         outer = [n for n, w in enumerate(current) if {w.left, w.right} == {space.name, ""} and math.dist(w.start, w.end) > 1.2]
         outer.sort(key=lambda n: -round(math.dist(current[n].start, current[n].end), 2))
         if space.kind == "shop":
-            outer = [n for n in outer if front.holds(_on(current[n], math.dist(current[n].start, current[n].end) / 2))]
+            outer = [n for n in outer if front.holds(_point_on_wall(current[n], math.dist(current[n].start, current[n].end) / 2))]
         for rank, index in enumerate(outer):
-            if rank and (space.kind not in _MANY or rng.random() > 0.55):
+            if rank and (space.kind not in _SEVERAL_WINDOWS or rng.random() > 0.55):
                 continue
             wall = current[index]
-            added = tuple(
+            new_windows = tuple(
                 o
                 for o in _windows(wall, space.kind, rng)
                 if not any(window_zone(face_of(wall, space.name), o).overlaps(r) for r in keep_off)
             )
-            current[index] = replace(wall, openings=wall.openings + added)
+            current[index] = replace(wall, openings=wall.openings + new_windows)
     return tuple(current)
 
 
 def _windows(wall: Wall, kind: str, rng: np.random.Generator) -> list[Opening]:
-    """Returns the windows of one wall, at equal distances, clear of its doors."""
-    least, largest, sill, height = _WINDOWS[kind]
-    wanted = round(float(rng.uniform(least, largest)), 2)
-    found: list[Opening] = []
+    """Returns evenly spaced windows for a wall, clear of its doors."""
+    min_width, max_width, sill, height = _WINDOWS[kind]
+    target_width = round(float(rng.uniform(min_width, max_width)), 2)
+    windows: list[Opening] = []
     for start, end in _between_doors(wall):
-        width = round(min(wanted, end - start - 0.3), 2)
-        if width < 0.35 or (kind in _MANY and width < 0.7 * least) or (found and kind not in _MANY):
+        width = round(min(target_width, end - start - 0.3), 2)
+        if width < 0.35 or (kind in _SEVERAL_WINDOWS and width < 0.7 * min_width) or (windows and kind not in _SEVERAL_WINDOWS):
             continue
-        count = max(1, int((end - start + 0.3) / (width + (0.5 if kind == "shop" else 1.3)))) if kind in _MANY else 1
+        count = max(1, int((end - start + 0.3) / (width + (0.5 if kind == "shop" else 1.3)))) if kind in _SEVERAL_WINDOWS else 1
         shift = float(rng.uniform(-0.2, 0.2)) * max(0.0, end - start - width - 0.8) if count == 1 else 0.0
-        spots = (round(start + (end - start) * (n + 0.5) / count + shift, 3) for n in range(count))
-        found += [Opening("window", spot, width, sill, height) for spot in spots]
-    return found
+        positions = (round(start + (end - start) * (n + 0.5) / count + shift, 3) for n in range(count))
+        windows += [Opening("window", position, width, sill, height) for position in positions]
+    return windows
 
 
 def _between_doors(wall: Wall) -> list[tuple[float, float]]:

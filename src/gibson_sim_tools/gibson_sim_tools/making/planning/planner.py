@@ -1,4 +1,4 @@
-"""Plans a whole building from its kind and a seed."""
+"""Plans a building from its kind and a seed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim_tools.making.building import Building, BuildingKind, Piece, Poin
 from gibson_sim_tools.making.planning.floor_grid import FloorGrid
 from gibson_sim_tools.making.planning.furnishing import furnish
 from gibson_sim_tools.making.planning.homes import flat_layout, house_layout
-from gibson_sim_tools.making.planning.layout import BuildingLayout, Flight, Level, turned
+from gibson_sim_tools.making.planning.layout import BuildingLayout, Flight, Level, random_orientation
 from gibson_sim_tools.making.planning.leaves import hang_doors
 from gibson_sim_tools.making.planning.materials import Palette, palette, surfaces
 from gibson_sim_tools.making.planning.openings import with_doors, with_windows
@@ -31,22 +31,24 @@ KINDS: Mapping[BuildingKind, Callable[[np.random.Generator], BuildingLayout]] = 
     "shop": shop_layout,
 }
 _ATTEMPTS = 60
+"""Maximum number of layouts tried for a building."""
 _ROOM_ATTEMPTS = 8
-_OPENING = ("cabinet_drawers", "cabinet_doors")
-"""Furniture with joints; every home has some."""
+"""Maximum number of furnishings tried for a room."""
+_MODELS_WITH_JOINTS = ("cabinet_drawers", "cabinet_doors")
+"""Models of furniture with joints; each home contains at least one."""
 ROBOT_RADIUS = 0.22
-"""Radius of the robot that can reach every room, metres."""
+"""Radius of the robot that can reach every room, m."""
 LANDING = 0.9
-"""Free floor at both ends of a stair, metres."""
+"""Depth of free floor at both ends of a stair, m."""
 
 
 def plan_building(kind: BuildingKind, seed: int, name: str = "") -> Building:
     """Returns the plan of a building; the same kind and seed give the same plan.
 
     Args:
-        kind: of building.
-        seed: 0 or more.
-        name: of the building; empty = made of kind and seed.
+        kind: kind of building.
+        seed: random seed, 0 or more.
+        name: name of the building; empty = kind and seed.
 
     Raises:
         ConfigError: the kind is unknown or the seed is negative.
@@ -64,23 +66,23 @@ def plan_building(kind: BuildingKind, seed: int, name: str = "") -> Building:
 
 
 def _attempt(kind: BuildingKind, seed: int, name: str, rng: np.random.Generator) -> Building | None:
-    """Returns a plan, or None if a door or a required piece of furniture does not fit."""
-    layout = turned(KINDS[kind](rng), rng)
-    colours = palette(kind, rng)
+    """Returns a plan; None if a door or a required piece of furniture does not fit, or a room cannot be reached."""
+    layout = random_orientation(KINDS[kind](rng), rng)
+    materials = palette(kind, rng)
     stairs = tuple(_stair(flight) for flight in layout.flights)
     storeys = []
     for number, level in enumerate(layout.levels):
-        storey = _storey(layout, number, level, colours, rng)
+        storey = _plan_storey(layout, number, level, materials, rng)
         if storey is None:
             return None
         storeys.append(storey)
-    things = Furnishings(rng)
+    furnishings = Furnishings(rng)
     for number, storey in enumerate(storeys):
-        _put_railings(things, layout, number)
+        _add_railings(furnishings, layout, number)
         for room in storey.rooms:
-            if not _furnish_room(things, layout, number, storey, room, workplace=kind in ("office", "shop")):
+            if not _furnish_room(furnishings, layout, number, storey, room, workplace=kind in ("office", "shop")):
                 return None
-    if kind in ("flat", "house") and not any(body.model in _OPENING for body in things.bodies):
+    if kind in ("flat", "house") and not any(body.model in _MODELS_WITH_JOINTS for body in furnishings.bodies):
         return None
     doors = hang_doors(storeys, rng)
     azimuth, elevation = float(rng.uniform(0.0, 2 * math.pi)), math.radians(float(rng.uniform(28.0, 48.0)))
@@ -90,40 +92,42 @@ def _attempt(kind: BuildingKind, seed: int, name: str, rng: np.random.Generator)
         kind=kind,
         seed=seed,
         storeys=tuple(storeys),
-        pieces=tuple(things.pieces),
-        bodies=(*doors, *things.bodies),
-        lamps=tuple(things.lamps),
+        pieces=tuple(furnishings.pieces),
+        bodies=(*doors, *furnishings.bodies),
+        lamps=tuple(furnishings.lamps),
         starts=(),
         stairs=stairs,
         sun_direction=_rounded(sun),
         sun=round(float(rng.uniform(2.5, 4.0)), 2),
         sky=round(float(rng.uniform(0.8, 1.3)), 2),
     )
-    starts = _starts(building)
+    starts = _start_poses(building)
     return replace(building, starts=starts) if starts else None
 
 
 def _rounded(values: Vec3) -> Vec3:
-    """Returns a vector in whole tenths of millimetres."""
+    """Returns a vector rounded to 0.1 mm."""
     return (round(values[0], 4), round(values[1], 4), round(values[2], 4))
 
 
-def _storey(layout: BuildingLayout, number: int, level: Level, colours: Palette, rng: np.random.Generator) -> Storey | None:
-    """Returns one storey with walls, doors, windows and materials."""
+def _plan_storey(
+    layout: BuildingLayout, number: int, level: Level, materials: Palette, rng: np.random.Generator
+) -> Storey | None:
+    """Returns a storey with walls, doors, windows and materials; None if a door does not fit."""
     walls = with_doors(walls_of(level.spaces, layout.partition, level.height), level.links, rng)
     if walls is None:
         return None
-    walls = with_windows(walls, level, _blocked(layout, number), _front(walls), rng)
+    walls = with_windows(walls, level, _blocked_in_layout(layout, number), _front(walls), rng)
     rooms = []
     for space in level.spaces:
-        floor, surface = surfaces(colours, space.kind, rng)
+        floor, surface = surfaces(materials, space.kind, rng)
         rooms.append(Room(space.name, space.kind, outline(space), floor, surface))
     floor_z = round(number * (level.height + layout.slab), 4)
     return Storey(floor_z, level.height, tuple(rooms), walls)
 
 
 def _front(walls: tuple[Wall, ...]) -> Rect:
-    """Returns an infinite strip along the wall with the entrance."""
+    """Returns a long strip along the wall with the entrance; an empty rectangle without one."""
     doors = [w for w in walls if any(o.kind == "door" for o in w.openings) and "" in (w.left, w.right)]
     if not doors:
         return Rect(0.0, 0.0, 0.0, 0.0)
@@ -140,10 +144,10 @@ def _stair(flight: Flight) -> Stair:
     return Stair(0, flight.foot, round(math.atan2(dy, dx), 6) + 0.0, flight.width, tread, flight.steps, hole)
 
 
-def flight_rect(foot: Point, yaw: float, width: float, length: float, before: float = 0.0) -> Rect:
-    """Returns the footprint of a flight; with ``before``, the floor before it instead."""
+def flight_rect(foot: Point, yaw: float, width: float, length: float, depth_before: float = 0.0) -> Rect:
+    """Returns the footprint of a flight; with ``depth_before``, the floor of this depth in front of it instead."""
     cos, sin = round(math.cos(yaw)), round(math.sin(yaw))
-    start, end = (-before, 0.0) if before else (0.0, length)
+    start, end = (-depth_before, 0.0) if depth_before else (0.0, length)
     return spanning(
         (foot[0] + cos * at - sin * aside, foot[1] + sin * at + cos * aside)
         for at in (start, end)
@@ -151,74 +155,82 @@ def flight_rect(foot: Point, yaw: float, width: float, length: float, before: fl
     )
 
 
-def _blocked(layout: BuildingLayout, number: int) -> tuple[Rect, ...]:
-    """Returns the flights and holes of a storey in a layout, which are no floor."""
+def _blocked_in_layout(layout: BuildingLayout, number: int) -> tuple[Rect, ...]:
+    """Returns the stairs and openings of a storey in a layout, which are not free floor."""
     flights = tuple(spanning((*_edge(f, f.foot), *_edge(f, f.top))) for f in layout.flights if number == 0)
     return flights + tuple(f.hole for f in layout.flights if number == 1)
 
 
 def _edge(flight: Flight, middle: Point) -> tuple[Point, Point]:
-    """Returns the ends of the edge at which a flight begins or ends."""
-    upright = flight.foot[0] == flight.top[0]
+    """Returns both ends of the first or last edge of a flight. ``middle``: its centre."""
+    along_y = flight.foot[0] == flight.top[0]
     half = flight.width / 2
-    dx, dy = (half, 0.0) if upright else (0.0, half)
+    dx, dy = (half, 0.0) if along_y else (0.0, half)
     return (middle[0] - dx, middle[1] - dy), (middle[0] + dx, middle[1] + dy)
 
 
 def _stair_ends(layout: BuildingLayout, number: int, room: str) -> list[tuple[Point, Rect]]:
-    """Returns the foot or the top of the stairs in a room: a point to be reached, and the zone that stays free."""
-    found = []
+    """Returns the feet and tops of stairs in a room: a point that must be reachable, and a zone that stays free."""
+    ends = []
     for f in layout.flights:
         yaw = math.atan2(f.top[1] - f.foot[1], f.top[0] - f.foot[0])
         if number == 0 and room == f.lower_room:
-            found.append((_towards(f.foot, yaw, -0.45), flight_rect(f.foot, yaw, f.width, 0.0, LANDING)))
+            ends.append((_offset_point(f.foot, yaw, -0.45), flight_rect(f.foot, yaw, f.width, 0.0, LANDING)))
         if number == 1 and room == f.upper_room:
-            found.append((_towards(f.top, yaw, 0.45), flight_rect(f.top, yaw + math.pi, f.width, 0.0, LANDING)))
-    return found
+            ends.append((_offset_point(f.top, yaw, 0.45), flight_rect(f.top, yaw + math.pi, f.width, 0.0, LANDING)))
+    return ends
 
 
-def _towards(point: Point, yaw: float, distance: float) -> Point:
+def _offset_point(point: Point, yaw: float, distance: float) -> Point:
     """Returns the point at a distance in a direction."""
     return (point[0] + math.cos(yaw) * distance, point[1] + math.sin(yaw) * distance)
 
 
-def _put_railings(things: Furnishings, layout: BuildingLayout, number: int) -> None:
-    """Puts a railing along the open long side of each hole."""
+def _add_railings(furnishings: Furnishings, layout: BuildingLayout, number: int) -> None:
+    """Adds a railing along the open long side of each opening in the upper floor."""
     if number != 1:
         return
     level = layout.levels[1]
     for flight in layout.flights:
         hall = next(s for s in level.spaces if s.name == flight.upper_room).rects[0]
-        hole, thick = flight.hole, 0.05
+        hole, thickness = flight.hole, 0.05
         if flight.foot[0] == flight.top[0]:
             left = hall.x1 - hole.x1 > hole.x0 - hall.x0
-            middle, length = ((hole.x1 + thick / 2) if left else (hole.x0 - thick / 2), (hole.y0 + hole.y1) / 2), hole.depth
+            middle, length = (
+                ((hole.x1 + thickness / 2) if left else (hole.x0 - thickness / 2), (hole.y0 + hole.y1) / 2),
+                hole.depth,
+            )
             yaw = 0.0 if left else math.pi
         else:
             low = hall.y1 - hole.y1 > hole.y0 - hall.y0
-            middle, length = ((hole.x0 + hole.x1) / 2, (hole.y1 + thick / 2) if low else (hole.y0 - thick / 2)), hole.width
+            middle, length = (
+                ((hole.x0 + hole.x1) / 2, (hole.y1 + thickness / 2) if low else (hole.y0 - thickness / 2)),
+                hole.width,
+            )
             yaw = math.pi / 2 if low else -math.pi / 2
         floor_z = round(level.height + layout.slab, 4)
         position = _rounded((middle[0], middle[1], floor_z))
-        size = (thick, round(length - 0.01, 3), 0.95)
-        things.pieces.append(Piece(things.name("railing"), "railing", 1, flight.upper_room, position, round(yaw, 6), size))
+        size = (thickness, round(length - 0.01, 3), 0.95)
+        furnishings.pieces.append(
+            Piece(furnishings.name("railing"), "railing", 1, flight.upper_room, position, round(yaw, 6), size)
+        )
 
 
 def _furnish_room(
-    things: Furnishings, layout: BuildingLayout, number: int, storey: Storey, room: Room, *, workplace: bool
+    furnishings: Furnishings, layout: BuildingLayout, number: int, storey: Storey, room: Room, *, workplace: bool
 ) -> bool:
-    """Furnishes a room in several attempts, and returns whether one succeeded."""
-    railings = [p for p in things.pieces if p.kind == "railing" and p.room == room.name]
-    blocked = [*_blocked(layout, number), *(_footprint(p) for p in railings)]
+    """Furnishes a room in several attempts; returns whether one succeeded."""
+    railings = [p for p in furnishings.pieces if p.kind == "railing" and p.room == room.name]
+    blocked = [*_blocked_in_layout(layout, number), *(_footprint(p) for p in railings)]
     view = room_view(storey, room, blocked)
     for attempt in range(_ROOM_ATTEMPTS):
-        mark = things.mark()
+        mark = furnishings.mark()
         furnished = FurnishedRoom(
             view,
             number,
             storey.floor_z,
             storey.height,
-            things,
+            furnishings,
             _stair_ends(layout, number, room.name),
             strict=attempt < _ROOM_ATTEMPTS - 3,
             curtains=attempt < _ROOM_ATTEMPTS - 1,
@@ -226,7 +238,7 @@ def _furnish_room(
         )
         if furnish(furnished):
             return True
-        things.rewind(mark)
+        furnishings.rewind(mark)
     return False
 
 
@@ -238,11 +250,11 @@ def _footprint(piece: Piece) -> Rect:
     return Rect(x - half_x, y - half_y, x + half_x, y + half_y)
 
 
-def _starts(building: Building) -> tuple[Start, ...] | None:
-    """Returns the most open place of each room, facing the centre; None if a robot cannot reach a room."""
+def _start_poses(building: Building) -> tuple[Start, ...] | None:
+    """Returns a start pose in each room, at the largest clearance, facing the centre; None if a robot cannot reach a room."""
     starts = []
     for number, storey in enumerate(building.storeys):
-        views = {room.name: room_view(storey, room, blocked(building, number)) for room in storey.rooms}
+        views = {room.name: room_view(storey, room, blocked_floor(building, number)) for room in storey.rooms}
         grid = FloorGrid(building, number, views, with_bodies=True)
         for view in views.values():
             point = grid.most_open(view.cells, ROBOT_RADIUS)
@@ -254,8 +266,8 @@ def _starts(building: Building) -> tuple[Start, ...] | None:
     return tuple(starts)
 
 
-def blocked(building: Building, number: int) -> tuple[Rect, ...]:
-    """Returns the flights and holes of a storey in a building, which are no floor."""
-    found = [flight_rect(s.foot, s.yaw, s.width, (s.steps - 1) * s.tread) for s in building.stairs if s.storey == number]
-    found += [spanning(s.hole) for s in building.stairs if s.storey + 1 == number]
-    return tuple(found)
+def blocked_floor(building: Building, number: int) -> tuple[Rect, ...]:
+    """Returns the stairs and openings of a storey in a building, which are not free floor."""
+    rects = [flight_rect(s.foot, s.yaw, s.width, (s.steps - 1) * s.tread) for s in building.stairs if s.storey == number]
+    rects += [spanning(s.hole) for s in building.stairs if s.storey + 1 == number]
+    return tuple(rects)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from gibson_sim_tools.making.building import Point
 
 EPSILON = 1e-6
+"""Tolerance of comparisons, m."""
 
 
 class Rect(NamedTuple):
@@ -22,22 +23,22 @@ class Rect(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Extent along x."""
+        """Extent along x, m."""
         return self.x1 - self.x0
 
     @property
     def depth(self) -> float:
-        """Extent along y."""
+        """Extent along y, m."""
         return self.y1 - self.y0
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Area, m^2."""
         return self.width * self.depth
 
     @property
     def middle(self) -> Point:
-        """Its centre."""
+        """Centre."""
         return ((self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2)
 
     def grown(self, margin: float) -> Rect:
@@ -45,7 +46,7 @@ class Rect(NamedTuple):
         return Rect(self.x0 - margin, self.y0 - margin, self.x1 + margin, self.y1 + margin)
 
     def overlaps(self, other: Rect) -> bool:
-        """Returns whether both share an area; touching is no overlap."""
+        """Returns whether the intersection has an area; touching does not count."""
         return (
             self.x0 < other.x1 - EPSILON
             and other.x0 < self.x1 - EPSILON
@@ -54,7 +55,7 @@ class Rect(NamedTuple):
         )
 
     def shared(self, other: Rect) -> float:
-        """Returns the area of the intersection."""
+        """Returns the area of the intersection, m^2."""
         width = min(self.x1, other.x1) - max(self.x0, other.x0)
         depth = min(self.y1, other.y1) - max(self.y0, other.y0)
         return max(width, 0.0) * max(depth, 0.0)
@@ -72,12 +73,12 @@ class Box(NamedTuple):
     z1: float
 
     def overlaps(self, other: Box) -> bool:
-        """Returns whether both share a volume; touching is no overlap."""
+        """Returns whether the intersection has a volume; touching does not count."""
         return self.z0 < other.z1 - EPSILON and other.z0 < self.z1 - EPSILON and self.rect.overlaps(other.rect)
 
 
 def around(middle: Point, yaw: float, depth: float, width: float) -> Rect:
-    """Returns the bounding rectangle of a rotated one: ``depth`` along its own x, ``width`` along its own y."""
+    """Returns the bounding rectangle of a rotated rectangle with ``depth`` along its x axis and ``width`` along its y axis."""
     cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
     half_x, half_y = (cos * depth + sin * width) / 2, (sin * depth + cos * width) / 2
     return Rect(middle[0] - half_x, middle[1] - half_y, middle[0] + half_x, middle[1] + half_y)
@@ -99,7 +100,7 @@ def without(rects: Iterable[Rect], holes: Iterable[Rect]) -> tuple[Rect, ...]:
     rects, holes = tuple(rects), tuple(holes)
     xs = sorted({round(x, 6) for r in rects + holes for x in (r.x0, r.x1)})
     ys = sorted({round(y, 6) for r in rects + holes for y in (r.y0, r.y1)})
-    found: list[Rect] = []
+    columns: list[Rect] = []
     for x0, x1 in itertools.pairwise(xs):
         column: list[Rect] = []
         for y0, y1 in itertools.pairwise(ys):
@@ -109,18 +110,18 @@ def without(rects: Iterable[Rect], holes: Iterable[Rect]) -> tuple[Rect, ...]:
                     column[-1] = Rect(x0, column[-1].y0, x1, y1)
                 else:
                     column.append(Rect(x0, y0, x1, y1))
-        found += column
-    return _joined(found)
+        columns += column
+    return _merge_columns(columns)
 
 
-def _joined(columns: list[Rect]) -> tuple[Rect, ...]:
-    """Returns the columns with neighbours of equal extent along y merged."""
-    joined: list[Rect] = []
+def _merge_columns(columns: list[Rect]) -> tuple[Rect, ...]:
+    """Merges neighbouring columns with equal extents along y."""
+    merged: list[Rect] = []
     for rect in columns:
-        for index, other in enumerate(joined):
+        for index, other in enumerate(merged):
             if other.x1 == rect.x0 and other.y0 == rect.y0 and other.y1 == rect.y1:
-                joined[index] = Rect(other.x0, other.y0, rect.x1, rect.y1)
+                merged[index] = Rect(other.x0, other.y0, rect.x1, rect.y1)
                 break
         else:
-            joined.append(rect)
-    return tuple(joined)
+            merged.append(rect)
+    return tuple(merged)

@@ -1,4 +1,4 @@
-"""The plans of the scenes that come with this project."""
+"""Lists the plans of the scenes shipped with this project."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Design:
     kind: BuildingKind
     seed: int
     title: str
-    """Title in lists of scenes."""
+    """Short description in lists of scenes."""
 
     def plan(self) -> Building:
         """Returns the plan of this design."""

@@ -1,4 +1,4 @@
-"""Derives walls from rooms: every edge between two rooms, or a room and the outside, becomes a wall with one room on each side."""
+"""Derives walls from rooms: each edge between two rooms, or between a room and the outside, becomes a wall with one room on each side."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _OUTSIDE = -1
 
 
 def walls_of(spaces: Sequence[Space], partition: float, height: float) -> tuple[Wall, ...]:
-    """Returns the walls of a storey, split wherever another wall meets them, so that each has one room on each side.
+    """Returns the walls of a storey, split where other walls meet them, so that each has one room on each side.
 
     Args:
         spaces: the rooms.
         partition: thickness of inside walls, metres.
-        height: of all walls, metres.
+        height: height of all walls, metres.
     """
     xs = sorted({x for s in spaces for r in s.rects for x in (r.x0, r.x1)})
     ys = sorted({y for s in spaces for r in s.rects for y in (r.y0, r.y1)})
@@ -26,17 +26,17 @@ def walls_of(spaces: Sequence[Space], partition: float, height: float) -> tuple[
     def label(i: int, j: int) -> int:
         return labels[i][j] if 0 <= i < len(labels) and 0 <= j < len(labels[0]) else _OUTSIDE
 
-    upright = [_runs([(label(i - 1, j), label(i, j)) for j in range(len(ys) - 1)]) for i in range(len(xs))]
-    level = [_runs([(label(i, j), label(i, j - 1)) for i in range(len(xs) - 1)]) for j in range(len(ys))]
+    runs_along_y = [_runs([(label(i - 1, j), label(i, j)) for j in range(len(ys) - 1)]) for i in range(len(xs))]
+    runs_along_x = [_runs([(label(i, j), label(i, j - 1)) for i in range(len(xs) - 1)]) for j in range(len(ys))]
     names = [s.name for s in spaces]
     walls = [
         _wall((xs[i], ys[a]), (xs[i], ys[b]), pair, names, partition, height)
-        for i, runs in enumerate(upright)
+        for i, runs in enumerate(runs_along_y)
         for a, b, pair in runs
     ]
     walls += [
         _wall((xs[a], ys[j]), (xs[b], ys[j]), pair, names, partition, height)
-        for j, runs in enumerate(level)
+        for j, runs in enumerate(runs_along_x)
         for a, b, pair in runs
     ]
     return _split(walls)
@@ -45,11 +45,11 @@ def walls_of(spaces: Sequence[Space], partition: float, height: float) -> tuple[
 def outline(space: Space) -> tuple[Point, ...]:
     """Returns the corners of a space, counter-clockwise, without collinear points."""
     walls = walls_of([space], OUTSIDE_THICKNESS, 1.0)
-    ahead = {(wall.start if wall.left else wall.end): (wall.end if wall.left else wall.start) for wall in walls}
-    first = min(ahead)
+    next_corner = {(wall.start if wall.left else wall.end): (wall.end if wall.left else wall.start) for wall in walls}
+    first = min(next_corner)
     corners = [first]
-    while ahead[corners[-1]] != first:
-        corners.append(ahead[corners[-1]])
+    while next_corner[corners[-1]] != first:
+        corners.append(next_corner[corners[-1]])
     return tuple(
         c
         for before, c, after in zip([corners[-1], *corners[:-1]], corners, [*corners[1:], first], strict=True)
@@ -57,13 +57,13 @@ def outline(space: Space) -> tuple[Point, ...]:
     )
 
 
-def _bends(before: Point, corner: Point, after: Point) -> bool:
+def _bends(previous: Point, corner: Point, following: Point) -> bool:
     """Returns whether an axis-aligned path bends at a corner."""
-    return not (before[0] == corner[0] == after[0] or before[1] == corner[1] == after[1])
+    return not (previous[0] == corner[0] == following[0] or previous[1] == corner[1] == following[1])
 
 
 def _pairs(values: Sequence[float]) -> list[tuple[float, float]]:
-    """Returns each value with the next."""
+    """Returns the pairs of consecutive values."""
     return list(itertools.pairwise(values))
 
 
@@ -92,10 +92,10 @@ def _wall(start: Point, end: Point, pair: tuple[int, int], names: Sequence[str],
 
 
 def _split(walls: list[Wall]) -> tuple[Wall, ...]:
-    """Returns the walls, split at the ends of other walls: where four rooms meet in pairs, a run continues through the joint."""
+    """Splits walls at the ends of other walls; where four rooms meet in pairs, a run continues through the joint."""
     ends = sorted({p for w in walls for p in (w.start, w.end)})
-    found = []
+    split = []
     for wall in walls:
-        on = [p for p in ends if wall.start[0] <= p[0] <= wall.end[0] and wall.start[1] <= p[1] <= wall.end[1]]
-        found += [Wall(a, b, wall.thickness, wall.height, wall.left, wall.right) for a, b in itertools.pairwise(on)]
-    return tuple(found)
+        joints = [p for p in ends if wall.start[0] <= p[0] <= wall.end[0] and wall.start[1] <= p[1] <= wall.end[1]]
+        split += [Wall(a, b, wall.thickness, wall.height, wall.left, wall.right) for a, b in itertools.pairwise(joints)]
+    return tuple(split)

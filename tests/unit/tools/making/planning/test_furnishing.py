@@ -10,12 +10,12 @@ import pytest
 from gibson_sim_tools.making.building import Body, Building, Opening, Piece, Room, Storey, Wall
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.floor_grid import FloorGrid
-from gibson_sim_tools.making.planning.furnishing.groups import by_wall, desk_group, object_by_wall, table_group, wall_of
-from gibson_sim_tools.making.planning.furnishing.lighting import light
+from gibson_sim_tools.making.planning.furnishing.groups import desk_group, place_at_wall, place_body_at_wall, table_group, wall_of
+from gibson_sim_tools.making.planning.furnishing.lighting import add_lamps
 from gibson_sim_tools.making.planning.furnishing.loose import put_on_floor, scatter
 from gibson_sim_tools.making.planning.rectangles import Rect
 from gibson_sim_tools.making.planning.rooms import RoomView, WallFace, room_view
-from gibson_sim_tools.making.planning.space import GAP, FurnishedRoom, FurnishingItem, Furnishings
+from gibson_sim_tools.making.planning.space import WALL_GAP, FurnishedRoom, FurnishingItem, Furnishings
 
 CORNERS = ((-0.15, -0.15), (5.15, -0.15), (5.15, 4.15), (-0.15, 4.15))
 """The middle lines of walls of 0.3 m; the floor goes from (0, 0) to (5, 4)."""
@@ -53,9 +53,9 @@ def test_an_item_knows_its_box_and_what_is_before_it() -> None:
     chair = item(2.0, 1.0, (0.5, 1.0, 0.8), yaw=math.pi / 2, lift=0.1)
     assert chair.rect == pytest.approx((1.5, 0.75, 2.5, 1.25))
     assert (chair.box.z0, chair.box.z1) == pytest.approx((0.1, 0.9))
-    assert chair.ahead(1.0, 0.5) == pytest.approx((1.5, 2.0))
+    assert chair.point_ahead(1.0, 0.5) == pytest.approx((1.5, 2.0))
     assert chair.front(0.6) == pytest.approx((1.5, 1.25, 2.5, 1.85))
-    assert item(0, 0, kind="rug").flat and not chair.flat
+    assert item(0, 0, kind="rug").lies_flat and not chair.lies_flat
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_placed_items_take_their_place_and_keep_their_fronts_free() -> None:
     assert not room.fits(item(4.2, 2.0, (0.4, 0.4, 0.8)))
     assert room.fits(item(3.0, 2.0, (0.5, 0.5, 0.3), lift=1.0)), "on top"
     assert not room.is_open(Rect(2.0, 2.0, 3.0, 3.0)) and room.is_open(Rect(0.5, 3.0, 1.5, 3.5))
-    (piece,) = room.things.pieces
+    (piece,) = room.furnishings.pieces
     assert (piece.name, piece.position, piece.storey) == ("room_armchair", (3.0, 2.0, 0.0), 0)
 
 
@@ -95,31 +95,31 @@ def test_what_would_cut_a_front_off_from_the_door_is_not_placed() -> None:
 
 
 def test_furnishings_can_be_rewound_and_names_are_counted() -> None:
-    things = Furnishings(np.random.default_rng(0))
-    assert [things.name("lamp"), things.name("lamp"), things.name("rug")] == ["lamp", "lamp_2", "rug"]
-    mark = things.mark()
-    things.bodies.append(Body("b", "mug", (0.0, 0.0, 0.0)))
-    assert things.name("lamp") == "lamp_3"
-    things.rewind(mark)
-    assert not things.bodies and things.name("lamp") == "lamp_3"
+    furnishings = Furnishings(np.random.default_rng(0))
+    assert [furnishings.name("lamp"), furnishings.name("lamp"), furnishings.name("rug")] == ["lamp", "lamp_2", "rug"]
+    mark = furnishings.mark()
+    furnishings.bodies.append(Body("b", "mug", (0.0, 0.0, 0.0)))
+    assert furnishings.name("lamp") == "lamp_3"
+    furnishings.rewind(mark)
+    assert not furnishings.bodies and furnishings.name("lamp") == "lamp_3"
 
 
 def test_free_intervals_of_a_wall_end_at_doors_and_windows_that_are_too_low() -> None:
     room = furnished()
     below, above = face(room, (0, 1)), face(room, (0, -1))
     # The zone of the door goes from 0.85 - 0.48 m to 0.85 + 0.48 m; the floor begins at 0.15 m along the middle line of the wall.
-    assert room.stretches(below, 0.5, 0.8) == [pytest.approx((0.15, 0.37)), pytest.approx((1.33, 5.15))]
-    assert room.stretches(above, 0.5, 0.8) == [pytest.approx((0.15, 5.15))]
-    high = room.stretches(above, 0.3, 2.0)
+    assert room.free_intervals(below, 0.5, 0.8) == [pytest.approx((0.15, 0.37)), pytest.approx((1.33, 5.15))]
+    assert room.free_intervals(above, 0.5, 0.8) == [pytest.approx((0.15, 5.15))]
+    high = room.free_intervals(above, 0.3, 2.0)
     assert [b - a for a, b in high] == pytest.approx([1.9, 1.9])
 
 
 def test_spots_lie_along_walls_and_the_best_come_first() -> None:
     room = furnished()
     right = face(room, (-1, 0))
-    spots = list(room.spots(1.0, faces=[right], score=lambda _, along: 10.0 * along))
-    assert spots[0][1] == pytest.approx(right.high - 0.5) and spots[-1][1] == pytest.approx(right.low + 0.5)
-    assert list(room.spots(4.5, faces=[right])) == []
+    wall_positions = list(room.wall_positions(1.0, faces=[right], score=lambda _, along: 10.0 * along))
+    assert wall_positions[0][1] == pytest.approx(right.high - 0.5) and wall_positions[-1][1] == pytest.approx(right.low + 0.5)
+    assert list(room.wall_positions(4.5, faces=[right])) == []
     assert room.corner_gap(right, right.low + 0.7, 1.0) == pytest.approx(0.2)
 
 
@@ -127,7 +127,7 @@ def test_an_item_on_a_wall_stands_a_gap_before_it_and_finds_it_again() -> None:
     room = furnished()
     left = face(room, (1, 0))
     shelf = room.on_wall("bookshelf", left, left.low + 1.0, (0.3, 0.8, 2.0))
-    assert shelf.middle[0] == pytest.approx(0.15 + GAP) and shelf.yaw == 0.0
+    assert shelf.middle[0] == pytest.approx(0.15 + WALL_GAP) and shelf.yaw == 0.0
     assert wall_of(room, shelf) is left
     assert wall_of(room, item(2.5, 2.0)) is None
 
@@ -145,7 +145,7 @@ def test_chairs_face_their_table() -> None:
     chairs = [c for c in items if c.kind == "chair"]
     assert len(chairs) == len(fronts) == 4
     for chair in chairs:
-        toward = chair.ahead(1.0)
+        toward = chair.point_ahead(1.0)
         assert math.dist(toward, table.middle) < math.dist(chair.middle, table.middle)
         assert not chair.rect.overlaps(table.rect)
     # On the front side 0.4 + 0.03 + 0.25 m ahead, a quarter of the width aside.
@@ -164,10 +164,10 @@ def test_a_desk_has_its_chair_before_it_and_monitor_and_keyboard_on_it() -> None
 
 def test_pieces_and_movable_bodies_come_to_walls() -> None:
     room = furnished()
-    wardrobe = by_wall(room, "wardrobe")
-    cabinet = object_by_wall(room, "cabinet_drawers", 0.8)
+    wardrobe = place_at_wall(room, "wardrobe")
+    cabinet = place_body_at_wall(room, "cabinet_drawers", 0.8)
     assert wardrobe is not None and wall_of(room, wardrobe) is not None
-    assert cabinet is not None and cabinet.movable and [b.model for b in room.things.bodies] == ["cabinet_drawers"]
+    assert cabinet is not None and cabinet.movable and [b.model for b in room.furnishings.bodies] == ["cabinet_drawers"]
     assert not cabinet.rect.overlaps(wardrobe.rect)
 
 
@@ -176,7 +176,7 @@ def test_loose_objects_stand_on_top_of_tables_and_apart() -> None:
     table = item(2.5, 2.0, (0.8, 1.6, 0.75), "dining_table")
     assert room.place([table])
     scatter(room)
-    on_top = [b for b in room.things.bodies if b.position[2] == 0.75]
+    on_top = [b for b in room.furnishings.bodies if b.position[2] == 0.75]
     assert 1 <= len(on_top) <= 8
     assert all(table.rect.holds((b.position[0], b.position[1])) for b in on_top)
 
@@ -184,7 +184,7 @@ def test_loose_objects_stand_on_top_of_tables_and_apart() -> None:
 def test_a_bin_stands_at_a_wall_away_from_the_door() -> None:
     room = furnished()
     put_on_floor(room, "bin_waste")
-    (body,) = room.things.bodies
+    (body,) = room.furnishings.bodies
     x, y, z = body.position
     # In a corner: half of its 0.28 m, and 4 cm from the wall behind it, 3 cm from the one beside it.
     assert z == 0.0 and sorted((x, y, 5.0 - x, 4.0 - y))[:2] == pytest.approx([0.17, 0.18])
@@ -193,12 +193,12 @@ def test_a_bin_stands_at_a_wall_away_from_the_door() -> None:
 
 def test_every_room_gets_a_ceiling_lamp_that_shines() -> None:
     room = furnished()
-    light(room)
-    lamps = [p for p in room.things.pieces if CATALOGUE[p.kind].stands == "ceiling"]
-    assert lamps and len(room.things.lamps) == len(lamps)
+    add_lamps(room)
+    lamps = [p for p in room.furnishings.pieces if CATALOGUE[p.kind].stands == "ceiling"]
+    assert lamps and len(room.furnishings.lamps) == len(lamps)
     for piece in lamps:
         assert piece.position[2] + piece.size[2] == pytest.approx(2.5)
-        assert min(math.dist(piece.position[:2], lamp.position[:2]) for lamp in room.things.lamps) < 1e-3
+        assert min(math.dist(piece.position[:2], lamp.position[:2]) for lamp in room.furnishings.lamps) < 1e-3
 
 
 def _building(*pieces: Piece, bodies: tuple[Body, ...] = ()) -> Building:

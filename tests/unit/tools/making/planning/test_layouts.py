@@ -9,7 +9,7 @@ import pytest
 
 from gibson_sim_tools.making.building import MATERIALS, BuildingKind
 from gibson_sim_tools.making.planning.homes import flat_layout, house_layout
-from gibson_sim_tools.making.planning.layout import BuildingLayout, Flight, Level, SpaceLink, one, turned
+from gibson_sim_tools.making.planning.layout import BuildingLayout, Flight, Level, SpaceLink, random_orientation, rect_space
 from gibson_sim_tools.making.planning.materials import palette, surfaces
 from gibson_sim_tools.making.planning.rectangles import Rect
 from gibson_sim_tools.making.planning.workplaces import office_layout, shop_layout
@@ -57,7 +57,9 @@ def test_a_house_has_a_flight_that_ends_at_the_edge_of_its_hole() -> None:
 
 
 def test_a_space_is_rounded_to_centimetres_and_a_layout_has_bounds() -> None:
-    layout = BuildingLayout((Level(2.5, (one("a", "living", 0, 0, 2.004, 3.006), one("b", "hall", -1, 0, 0, 1)), ()),), 0.1)
+    layout = BuildingLayout(
+        (Level(2.5, (rect_space("a", "living", 0, 0, 2.004, 3.006), rect_space("b", "hall", -1, 0, 0, 1)), ()),), 0.1
+    )
     assert layout.levels[0].spaces[0].rects == (Rect(0, 0, 2.0, 3.01),)
     assert layout.bounds() == Rect(-1, 0, 2.0, 3.01)
 
@@ -85,9 +87,9 @@ def test_a_layout_is_mirrored_and_transposed_with_all_that_is_in_it(
     mirror: int, swap: int, rect: tuple[float, ...], near: tuple[float, float], foot: tuple[float, float]
 ) -> None:
     """A room of 4 x 2 m whose lower left corner is at (1, 5)."""
-    level = Level(2.5, (one("a", "hall", 1, 5, 5, 7),), (SpaceLink("", "a", near=(2.0, 5.5)),))
+    level = Level(2.5, (rect_space("a", "hall", 1, 5, 5, 7),), (SpaceLink("", "a", near=(2.0, 5.5)),))
     flight = Flight((4.0, 6.0), (4.0, 6.5), 0.9, 3, Rect(3.5, 6.0, 4.5, 6.5), "a", "b")
-    out = turned(BuildingLayout((level,), 0.1, (flight,)), _Choices(mirror, swap))  # type: ignore[arg-type]
+    out = random_orientation(BuildingLayout((level,), 0.1, (flight,)), _Choices(mirror, swap))  # type: ignore[arg-type]
     assert out.levels[0].spaces[0].rects[0] == rect
     assert out.levels[0].links[0].near == near
     assert out.flights[0].foot == foot and out.flights[0].hole.area == pytest.approx(0.5)

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gibson_sim_tools.making.building import Opening, Room, Storey, Wall
-from gibson_sim_tools.making.planning.layout import Space, one
+from gibson_sim_tools.making.planning.layout import Space, rect_space
 from gibson_sim_tools.making.planning.rectangles import Rect
 from gibson_sim_tools.making.planning.rooms import (
     LEAF_DEPTH,
@@ -23,7 +23,7 @@ from gibson_sim_tools.making.planning.rooms import (
 )
 from gibson_sim_tools.making.planning.walls import outline, walls_of
 
-A, B = one("a", "living", 0, 0, 4, 3), one("b", "bedroom", 4, 0, 7, 3)
+A, B = rect_space("a", "living", 0, 0, 4, 3), rect_space("b", "bedroom", 4, 0, 7, 3)
 WALLS = walls_of([A, B], 0.1, 2.5)
 BETWEEN = next(w for w in WALLS if w.left and w.right)
 
@@ -39,7 +39,7 @@ def test_two_rooms_have_seven_walls_and_one_between_them() -> None:
 
 
 def test_walls_where_four_rooms_meet_are_split_at_the_joint() -> None:
-    rooms = [one(n, "living", x, y, x + 2, y + 2) for n, x, y in (("a", 0, 0), ("b", 2, 0), ("c", 0, 2), ("d", 2, 2))]
+    rooms = [rect_space(n, "living", x, y, x + 2, y + 2) for n, x, y in (("a", 0, 0), ("b", 2, 0), ("c", 0, 2), ("d", 2, 2))]
     inside = [w for w in walls_of(rooms, 0.1, 2.5) if w.left and w.right]
     assert sorted((w.start, w.end) for w in inside) == [
         ((0.0, 2.0), (2.0, 2.0)),

@@ -1,12 +1,12 @@
-"""Furnishes each kind of room."""
+"""Furnishes rooms of all kinds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from gibson_sim_tools.making.planning.furnishing.dressing import dress_windows, hang_radiators
+from gibson_sim_tools.making.planning.furnishing.dressing import hang_curtains, hang_radiators
 from gibson_sim_tools.making.planning.furnishing.homes import furnish_bedroom, furnish_hall, furnish_living, furnish_study
-from gibson_sim_tools.making.planning.furnishing.lighting import light
+from gibson_sim_tools.making.planning.furnishing.lighting import add_lamps
 from gibson_sim_tools.making.planning.furnishing.loose import scatter
 from gibson_sim_tools.making.planning.furnishing.sales import furnish_shop
 from gibson_sim_tools.making.planning.furnishing.wet import furnish_bathroom, furnish_kitchen, furnish_kitchenette, furnish_toilet
@@ -40,13 +40,13 @@ def furnish(room: FurnishedRoom) -> bool:
     """Furnishes and lights a room, and adds curtains, radiators and loose objects.
 
     Returns:
-        Whether all required furniture has found its place.
+        Whether all required furniture was placed.
     """
     hang_radiators(room)
     if room.curtains:
-        dress_windows(room)
+        hang_curtains(room)
     if not _FURNISHERS[room.kind](room):
         return False
-    light(room)
+    add_lamps(room)
     scatter(room)
     return True

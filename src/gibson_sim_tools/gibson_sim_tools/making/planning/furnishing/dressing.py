@@ -1,4 +1,4 @@
-"""Adds radiators, curtains, pictures and plants to any room."""
+"""Adds radiators, curtains, pictures and plants to rooms."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.rooms import WallFace
 from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
-_CURTAINED = ("living", "bedroom", "study")
+_ROOMS_WITH_CURTAINS = ("living", "bedroom", "study")
 
 
 def hang_radiators(room: FurnishedRoom) -> None:
-    """Hangs a radiator below each window that is high and wide enough, except in rooms with counters."""
+    """Adds a radiator below each window that is high and wide enough, except in rooms with counters."""
     if room.kind in ("kitchen", "kitchenette", "shop", "storage", "toilet"):
         return
     for window in room.view.windows:
@@ -22,9 +22,9 @@ def hang_radiators(room: FurnishedRoom) -> None:
             room.place([room.on_wall("radiator", window.face, window.opening.middle, size, room.lift("radiator"), 0.02)])
 
 
-def dress_windows(room: FurnishedRoom) -> None:
-    """Hangs curtains on both sides of each window, or on neither."""
-    if room.kind not in _CURTAINED or room.rng.random() < 0.15:
+def hang_curtains(room: FurnishedRoom) -> None:
+    """Hangs curtains on both sides of each window if both fit, else none."""
+    if room.kind not in _ROOMS_WITH_CURTAINS or room.rng.random() < 0.15:
         return
     for window in room.view.windows:
         size = room.size("curtain", height=min(room.height - 0.2, 2.4))
@@ -33,19 +33,19 @@ def dress_windows(room: FurnishedRoom) -> None:
         room.place([room.on_wall("curtain", window.face, window.opening.middle + s * half, size, lift) for s in (-1, 1)])
 
 
-def hang_above(room: FurnishedRoom, kind: str, item: FurnishingItem, face: WallFace, *, spare: float = 0.25) -> bool:
+def hang_above(room: FurnishedRoom, kind: str, item: FurnishingItem, face: WallFace, *, min_gap: float = 0.25) -> bool:
     """Hangs a piece on the wall above an item, centred.
 
     Args:
-        room: room of both.
+        room: the room.
         kind: kind of the piece.
         item: the item below.
         face: the wall.
-        spare: least distance between the two, metres.
+        min_gap: minimum distance between the two, metres.
     """
     along = (item.middle[0] - face.start[0]) * face.along[0] + (item.middle[1] - face.start[1]) * face.along[1]
     limits = CATALOGUE[kind].lift
-    low = max(limits[0], item.lift + item.size[2] + spare)
+    low = max(limits[0], item.lift + item.size[2] + min_gap)
     size = room.size(
         kind, width=min(float(room.rng.uniform(*CATALOGUE[kind].width)), max(item.size[1] - 0.1, CATALOGUE[kind].width[0]))
     )
@@ -60,12 +60,12 @@ def hang_pictures(room: FurnishedRoom, count: int) -> None:
     for _ in range(count):
         size, lift = room.size("painting"), room.lift("painting")
 
-        def bare(face: WallFace, along: float) -> float:
+        def picture_score(face: WallFace, along: float) -> float:
             point = face.point(along)
-            apart = min((math.dist(point, p.middle) for p in hung), default=3.0)
-            return 2.0 * min(apart, 3.0) + min(room.corner_gap(face, along, 0.4), 1.2) - (1.0 if face.outer else 0.0)
+            distance = min((math.dist(point, p.middle) for p in hung), default=3.0)
+            return 2.0 * min(distance, 3.0) + min(room.corner_gap(face, along, 0.4), 1.2) - (1.0 if face.outer else 0.0)
 
-        for face, along in room.spots(size[1] + 0.3, score=bare, step=0.25):
+        for face, along in room.wall_positions(size[1] + 0.3, score=picture_score, step=0.25):
             item = room.on_wall("painting", face, along, size, lift, 0.005)
             if room.place([item]):
                 hung.append(item)
@@ -73,7 +73,7 @@ def hang_pictures(room: FurnishedRoom, count: int) -> None:
 
 
 def fill_corners(room: FurnishedRoom, kind: str, count: int) -> None:
-    """Places items in free corners, those far from doors first."""
+    """Places pieces in free corners, those far from doors first."""
     for _ in range(count):
         size = room.size(kind)
         side = max(size[0], size[1])

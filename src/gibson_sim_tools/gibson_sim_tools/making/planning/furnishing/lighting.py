@@ -1,4 +1,4 @@
-"""Places ceiling lamps, and the light sources of all lamps."""
+"""Places ceiling lamps, and adds the light sources of all lamps."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from gibson_sim_tools.making.building import Lamp
 from gibson_sim_tools.making.planning.rectangles import Rect
 from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
-_COOL = ("office", "open_office", "meeting", "shop", "storage", "kitchenette", "corridor")
-_APART = 1.3
-"""Least distance from a pendant to the next lamp, metres."""
-_TABLES = ("dining_table", "meeting_table")
+_COOL_ROOMS = ("office", "open_office", "meeting", "shop", "storage", "kitchenette", "corridor")
+_MIN_DISTANCE = 1.3
+"""Minimum distance from a pendant to the next lamp, m."""
+_TABLE_KINDS = ("dining_table", "meeting_table")
 
 
-def light(room: FurnishedRoom) -> None:
+def add_lamps(room: FurnishedRoom) -> None:
     """Adds lamps and their light sources: pendants above dining and meeting tables, panels in offices and shops, round lamps elsewhere."""
     _above_tables(room)
     panels = room.kind in ("office", "open_office", "meeting", "shop", "kitchenette")
     spacing = 3.0 if panels else 4.2
-    warm = 4000.0 if room.kind in _COOL and panels else 3000.0
+    temperature = 4000.0 if room.kind in _COOL_ROOMS and panels else 3000.0
     kind = "panel_lamp" if panels else "ceiling_lamp"
     for cell in room.view.cells:
         if min(cell.width, cell.depth) < 0.8 or cell.area < 1.5:
             continue
         for middle in _grid(cell, spacing):
-            if any(math.dist(p.middle, middle) < _APART for p in room.items if p.kind == "pendant_lamp"):
+            if any(math.dist(p.middle, middle) < _MIN_DISTANCE for p in room.items if p.kind == "pendant_lamp"):
                 continue
             size = room.size(kind)
             item = FurnishingItem(kind, middle, 0.0, size, round(room.height - size[2], 4))
             if room.place([item]):
-                share = cell.area / len(_grid(cell, spacing))
-                _shine(room, item, "panel" if panels else "ceiling", 12.0 + 5.0 * share, warm)
-    _standing(room)
+                lit_area = cell.area / len(_grid(cell, spacing))
+                _add_light_source(room, item, "panel" if panels else "ceiling", 12.0 + 5.0 * lit_area, temperature)
+    _light_standing_lamps(room)
 
 
 def _grid(cell: Rect, spacing: float) -> list[tuple[float, float]]:
@@ -46,31 +46,31 @@ def _grid(cell: Rect, spacing: float) -> list[tuple[float, float]]:
 
 
 def _above_tables(room: FurnishedRoom) -> None:
-    """Hangs pendants above tables, where no passage is needed below them."""
-    for table in [p for p in room.items if p.kind in _TABLES]:
+    """Hangs pendants above tables, where no headroom is needed."""
+    for table in [p for p in room.items if p.kind in _TABLE_KINDS]:
         count = 2 if table.size[1] > 2.2 else 1
         for n in range(count):
             size = room.size("pendant_lamp", height=min(0.9, room.height - 1.6))
-            middle = table.ahead(0.0, table.size[1] * ((n + 0.5) / count - 0.5))
+            middle = table.point_ahead(0.0, table.size[1] * ((n + 0.5) / count - 0.5))
             item = FurnishingItem("pendant_lamp", middle, 0.0, size, round(room.height - size[2], 4))
             if room.place([item]):
-                _shine(room, item, "pendant", 35.0, 2700.0)
+                _add_light_source(room, item, "pendant", 35.0, 2700.0)
 
 
-def _standing(room: FurnishedRoom) -> None:
+def _light_standing_lamps(room: FurnishedRoom) -> None:
     """Adds the light sources of floor lamps and desk lamps."""
     for item in room.items:
         if item.kind == "floor_lamp":
-            _shine(room, item, "floor", 25.0, 2700.0)
+            _add_light_source(room, item, "floor", 25.0, 2700.0)
         elif item.kind == "desk_lamp":
-            _shine(room, item, "desk", 8.0, 3000.0)
+            _add_light_source(room, item, "desk", 8.0, 3000.0)
 
 
-def _shine(room: FurnishedRoom, item: FurnishingItem, kind: str, power: float, temperature: float) -> None:
-    """Adds the light source of a lamp: below a hanging one, in the shade of a standing one."""
+def _add_light_source(room: FurnishedRoom, item: FurnishingItem, kind: str, power: float, temperature: float) -> None:
+    """Adds the light source of a lamp: below a hanging lamp, in the shade of a standing one."""
     hangs = kind in ("ceiling", "pendant", "panel")
-    # A hand's breadth below what hangs, so that its own body does not keep the light in.
+    # Slightly below a hanging lamp, so that its body does not block the light.
     z = item.lift - 0.03 if hangs else item.lift + item.size[2] - (0.15 if kind == "floor" else 0.1)
     size = math.floor(min(item.size[0], item.size[1]) * 80.0) / 100.0
     position = (round(item.middle[0], 4), round(item.middle[1], 4), round(room.floor_z + z, 4))
-    room.things.lamps.append(Lamp(kind, position, round(power, 1), temperature, size))  # type: ignore[arg-type]
+    room.furnishings.lamps.append(Lamp(kind, position, round(power, 1), temperature, size))  # type: ignore[arg-type]

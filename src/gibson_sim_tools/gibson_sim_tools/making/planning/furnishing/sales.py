@@ -1,4 +1,4 @@
-"""Furniture of the sales room of a shop."""
+"""Furnishes the sales room of a shop."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import math
 from collections.abc import Iterator
 
 from gibson_sim_tools.making.planning.furnishing.dressing import fill_corners
-from gibson_sim_tools.making.planning.furnishing.groups import Group, by_wall, near_corner
+from gibson_sim_tools.making.planning.furnishing.groups import Group, near_corner, place_at_wall
 from gibson_sim_tools.making.planning.rectangles import Rect, around
 from gibson_sim_tools.making.planning.rooms import GateView
 from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
-_SPARE = 0.4
-"""Free depth behind the front, in addition to shelf and aisle, metres."""
+_FRONT_DEPTH = 0.4
+"""Free depth behind the front, in addition to shelf and aisle, m."""
 
 
 def furnish_shop(room: FurnishedRoom) -> bool:
-    """Furnishes a sales room: till by the entrance, fridge and shelves along the walls, gondolas in rows between."""
+    """Furnishes a sales room: checkout near the entrance, fridge and shelves along the walls, rows of gondolas between."""
     entrance = next(gate for gate in room.view.gates if not gate.other_room)
-    if not _put_till(room, entrance) or not by_wall(room, "display_fridge", near_corner(room, 1.8)):
+    if not _put_till(room, entrance) or not place_at_wall(room, "display_fridge", near_corner(room, 1.8)):
         return False
     aisle = round(float(room.rng.uniform(1.15, 1.35)), 2)
     if not _put_gondolas(room, entrance, aisle):
@@ -29,10 +29,10 @@ def furnish_shop(room: FurnishedRoom) -> bool:
 
 
 def _line_walls(room: FurnishedRoom) -> None:
-    """Lines the walls with shelves of equal width per free interval."""
+    """Lines the walls with shelves, of equal width within each free interval."""
     depth, _, height = room.size("wall_shelf")
     for face in room.view.sides:
-        for low, high in room.stretches(face, depth + 0.02, height):
+        for low, high in room.free_intervals(face, depth + 0.02, height):
             count = max(1, math.ceil((high - low) / 3.0))
             width = math.floor((high - low) / count * 100.0) / 100.0 - 0.01
             if width < 1.5:
@@ -43,7 +43,7 @@ def _line_walls(room: FurnishedRoom) -> None:
 
 
 def _put_till(room: FurnishedRoom, entrance: GateView) -> bool:
-    """Places the till beside the entrance, facing it, with free floor for the cashier."""
+    """Places the checkout counter beside the entrance, facing it, with free floor for the cashier."""
     size = room.size("till")
     face, middle = entrance.face, entrance.opening.middle
     signs = (1, -1) if room.rng.random() < 0.5 else (-1, 1)
@@ -52,11 +52,11 @@ def _put_till(room: FurnishedRoom, entrance: GateView) -> bool:
         for aside in (1.5, 1.3, 1.8, 2.2, 2.6):
             for off in (0.5, 0.9, 1.3, 0.3):
                 for sign in signs:
-                    # Its front looks along the wall, towards the entrance.
+                    # Its front faces along the wall, towards the entrance.
                     yaw = math.atan2(-sign * face.along[1], -sign * face.along[0])
                     point = face.point(middle + sign * (aside + size[0] / 2), off + size[1] / 2)
                     till = FurnishingItem("till", point, round(yaw, 6) + 0.0, size)
-                    behind = around(till.ahead(-size[0] / 2 - 0.4), yaw, 0.8, size[1])
+                    behind = around(till.point_ahead(-size[0] / 2 - 0.4), yaw, 0.8, size[1])
                     yield [till], [till.front(0.9), behind]
 
     return bool(room.place_first(groups()))
@@ -64,32 +64,33 @@ def _put_till(room: FurnishedRoom, entrance: GateView) -> bool:
 
 def _put_gondolas(room: FurnishedRoom, entrance: GateView, aisle: float) -> int:
     """Fills the centre of the largest part of the room with rows of gondolas; returns their number."""
-    # Shelves stand along the walls, with an aisle before them.
-    inner = _behind_front(_largest(room), entrance).grown(-0.47 - aisle)
+    # Shelves line the walls, with an aisle in front of them.
+    inner = _without_front_strip(_largest(room), entrance).grown(-0.47 - aisle)
     depth, _, height = room.size("gondola")
-    upright, rows, each, length = max(
-        (_rows(inner, upright, depth, aisle) for upright in (True, False)), key=lambda found: found[1] * found[2] * found[3]
+    upright, rows, per_row, length = max(
+        (_fill_with_gondolas(inner, upright, depth, aisle) for upright in (True, False)),
+        key=lambda filling: filling[1] * filling[2] * filling[3],
     )
     across, along = (inner.width, inner.depth) if upright else (inner.depth, inner.width)
-    gap = aisle if each * (length + aisle) - aisle <= along + 1e-6 else 0.0
-    pitch = (across - depth) / (rows - 1) if rows > 1 else 0.0
+    gap = aisle if per_row * (length + aisle) - aisle <= along + 1e-6 else 0.0
+    row_distance = (across - depth) / (rows - 1) if rows > 1 else 0.0
     count = 0
     for row in range(rows):
-        off = depth / 2 + row * pitch if rows > 1 else across / 2
-        for n in range(each):
-            at = along / 2 + (n - (each - 1) / 2) * (length + gap)
+        off = depth / 2 + row * row_distance if rows > 1 else across / 2
+        for n in range(per_row):
+            at = along / 2 + (n - (per_row - 1) / 2) * (length + gap)
             count += _put_gondola(room, inner, upright, off, at, (depth, length, height), aisle)
     return count
 
 
-def _rows(inner: Rect, upright: bool, depth: float, aisle: float) -> tuple[bool, int, int, float]:
-    """Returns how gondolas fill a rectangle: ``upright``, rows, gondolas per row, length of each."""
+def _fill_with_gondolas(inner: Rect, upright: bool, depth: float, aisle: float) -> tuple[bool, int, int, float]:
+    """Computes rows of gondolas in a rectangle; returns ``upright``, number of rows, gondolas per row, length of each, m."""
     across, along = (inner.width, inner.depth) if upright else (inner.depth, inner.width)
     rows = max(0, int((across + aisle) / (depth + aisle) + 1e-6))
-    each = 1 if along <= 4.0 else 2
+    per_row = 1 if along <= 4.0 else 2
     gap = aisle if along > 5.0 else 0.0
-    length = round(min(4.0, (along - (each - 1) * gap) / each) - 0.005, 2)
-    return upright, rows if length >= 2.0 else 0, each, length
+    length = round(min(4.0, (along - (per_row - 1) * gap) / per_row) - 0.005, 2)
+    return upright, rows if length >= 2.0 else 0, per_row, length
 
 
 def _largest(room: FurnishedRoom) -> Rect:
@@ -103,7 +104,7 @@ def _largest(room: FurnishedRoom) -> Rect:
 def _put_gondola(
     room: FurnishedRoom, inner: Rect, upright: bool, off: float, at: float, size: tuple[float, float, float], aisle: float
 ) -> bool:
-    """Places one gondola, shortened if something is at its end."""
+    """Places one gondola, shortened if an obstacle is at its end; returns whether it fits."""
     for length in (size[1], size[1] - 0.6, size[1] - 1.2):
         for shift in (0.0, (size[1] - length) / 2, (length - size[1]) / 2):
             if length < 2.0:
@@ -113,17 +114,17 @@ def _put_gondola(
                 "gondola", middle, 0.0 if upright else round(math.pi / 2, 6), (size[0], round(length, 2), size[2])
             )
             depth = min(1.0, aisle - 0.05)
-            if room.place([item], [item.front(depth), around(item.ahead(-(size[0] + depth) / 2), item.yaw, depth, length)]):
+            if room.place([item], [item.front(depth), around(item.point_ahead(-(size[0] + depth) / 2), item.yaw, depth, length)]):
                 return True
     return False
 
 
-def _behind_front(hall: Rect, entrance: GateView) -> Rect:
-    """Returns a room without a strip behind its front."""
+def _without_front_strip(hall: Rect, entrance: GateView) -> Rect:
+    """Returns a rectangle without a strip along the wall with the entrance."""
     x, y = entrance.face.normal
     return Rect(
-        hall.x0 + _SPARE * max(x, 0.0),
-        hall.y0 + _SPARE * max(y, 0.0),
-        hall.x1 + _SPARE * min(x, 0.0),
-        hall.y1 + _SPARE * min(y, 0.0),
+        hall.x0 + _FRONT_DEPTH * max(x, 0.0),
+        hall.y0 + _FRONT_DEPTH * max(y, 0.0),
+        hall.x1 + _FRONT_DEPTH * min(x, 0.0),
+        hall.y1 + _FRONT_DEPTH * min(y, 0.0),
     )
