@@ -60,7 +60,7 @@ def test_a_trial_does_not_differ_from_itself() -> None:
     lines = compare(results, results).lines()
     assert lines[0] == "no run got better or worse: the verdicts show no difference between the stacks"
     assert lines[1] == "of 30 pairs 20 passed in both, 10 failed in both"
-    assert "20 of 30 pairs are equal to the bit" in lines
+    assert "20 of 30 pairs are equal bit for bit" in lines
 
 
 def test_runs_are_paired_by_number_scene_robot_start_goal_and_seed() -> None:

@@ -125,7 +125,7 @@ def test_junit_has_a_case_for_each_run(tmp_path: Path, monkeypatch: pytest.Monke
     assert problem.text == "collisions: 1 collision, at most 0"
     assert error.findtext("system-out") == "run again: gibson-sim trial rooms.yaml --runs 3 --run 2"
     assert bad.findtext("system-out") == (
-        "repeat to the bit: gibson-sim replay out/a/runs/0001/bag --verify\nrun again: gibson-sim trial rooms.yaml --runs 3 --run 1"
+        "replay bit for bit: gibson-sim replay out/a/runs/0001/bag --verify\nrun again: gibson-sim trial rooms.yaml --runs 3 --run 1"
     )
     assert [child.tag for child in error] == ["error", "system-out"]
 

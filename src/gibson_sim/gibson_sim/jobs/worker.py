@@ -22,7 +22,7 @@ from gibson_sim.errors import GibsonSimError, missing_package
 from gibson_sim.quoting import clipped, quoted
 from gibson_sim.writing import write_file
 
-_LONGEST = 500
+_MAX_LENGTH = 500
 """Largest length of a progress line, characters."""
 
 
@@ -41,7 +41,7 @@ class WorkerContext:
 
     def progress(self, text: str) -> None:
         """Sends one line about the unit."""
-        self._send({"progress": clipped(text, _LONGEST)})
+        self._send({"progress": clipped(text, _MAX_LENGTH)})
 
     def path(self, path: str | Path) -> Path:
         """Returns the path of a file of the unit on this machine."""
@@ -89,7 +89,7 @@ def call(function: str, arguments: Any, folder: Path, context: WorkerContext) ->
         traceback.print_exc()
         is_unit_module = isinstance(error, ImportError) and module.startswith(error.name or module)
         missing = missing_package(error) if isinstance(error, ImportError) and not is_unit_module else None
-        return {"error": str(missing) if missing else clipped(traceback.format_exception_only(error)[-1].strip(), _LONGEST)}
+        return {"error": str(missing) if missing else clipped(traceback.format_exception_only(error)[-1].strip(), _MAX_LENGTH)}
 
 
 def _redirect_output(path: str) -> None:

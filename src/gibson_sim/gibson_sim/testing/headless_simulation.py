@@ -29,7 +29,7 @@ _CLEARANCES = (0.1, 0.05, 0.0)
 """Clearances in addition to the robot's radius for path planning, tried in order, m."""
 _OCCUPIED = 50
 """Value of an occupancy grid above which a cell counts as occupied."""
-_MOST_COLLISIONS = 5
+_MAX_COLLISIONS = 5
 """Number of collisions that a message lists."""
 
 
@@ -451,8 +451,8 @@ class HeadlessSimulation:
             pose = client.last_pose(robot)
             parts.append(f"{robot} at {pose}" if pose is not None else f"{robot}'s pose is unknown")
         collisions = client.collisions()
-        listed = ", ".join(map(str, collisions[-_MOST_COLLISIONS:]))
-        more = f" ({len(collisions) - _MOST_COLLISIONS} earlier ones)" if len(collisions) > _MOST_COLLISIONS else ""
+        listed = ", ".join(map(str, collisions[-_MAX_COLLISIONS:]))
+        more = f" ({len(collisions) - _MAX_COLLISIONS} earlier ones)" if len(collisions) > _MAX_COLLISIONS else ""
         return "; ".join([*parts, f"collided with {listed}{more}" if collisions else "no collisions"])
 
     def report_sections(self) -> list[tuple[str, str]]:

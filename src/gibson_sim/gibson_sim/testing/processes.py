@@ -28,7 +28,7 @@ DOMAINS = "1-101"
 """Default range of ROS domains for tests: those whose ports lie below the kernel's ephemeral ports."""
 NODE_VARIABLES = (PARENT_VARIABLE, VARIABLE)
 """Environment variables reserved for the simulation's own nodes."""
-_MOST_TAIL = 16_000
+_MAX_TAIL = 16_000
 """Size of the end of an output that a report shows, bytes."""
 _END_S = 40.0
 """Wall time for a process to end after SIGINT, s."""
@@ -55,7 +55,7 @@ class OutputFile:
         if self._file is None:
             return self._last
         size = os.fstat(self._file.fileno()).st_size
-        return os.pread(self._file.fileno(), _MOST_TAIL, max(0, size - _MOST_TAIL)).decode(errors="replace")
+        return os.pread(self._file.fileno(), _MAX_TAIL, max(0, size - _MAX_TAIL)).decode(errors="replace")
 
     def close(self) -> None:
         """Closes the file."""

@@ -15,7 +15,7 @@ from gibson_sim.web.curves import CurveName, Sample
 from gibson_sim.web.requests import Drive, Request
 from gibson_sim.web.videos import Viewer
 
-MOST_AT_ONCE, MOST_PER_S = 60, 30.0
+MAX_AT_ONCE, MAX_PER_S = 60, 30.0
 """Rate limit of a page's requests: burst size, and requests per second. More could delay the stop of a robot that another page drives."""
 
 
@@ -51,7 +51,7 @@ class Page:
     viewer: Viewer = field(init=False)
     curves: frozenset[CurveName] = frozenset()
     """Plotted curves."""
-    _remaining: float = MOST_AT_ONCE
+    _remaining: float = MAX_AT_ONCE
     """Number of requests that the page may send now."""
     _last_request_s: float = 0.0
     """Time of the last request, s."""
@@ -66,13 +66,13 @@ class Page:
         Args:
             now_s: time of a monotonic clock, s.
         """
-        self._remaining = min(self._remaining + MOST_PER_S * (now_s - self._last_request_s), MOST_AT_ONCE)
+        self._remaining = min(self._remaining + MAX_PER_S * (now_s - self._last_request_s), MAX_AT_ONCE)
         self._last_request_s = now_s
         is_allowed = self._remaining >= 1.0
         if is_allowed:
             self._remaining -= 1.0
         elif not self._refused:
-            self.reply("", False, f"too many requests: at most {MOST_PER_S:.0f} per second are answered")
+            self.reply("", False, f"too many requests: at most {MAX_PER_S:.0f} per second are answered")
         self._refused = not is_allowed
         return is_allowed
 

@@ -19,7 +19,7 @@ from gibson_sim.geometry.triangle_meshes import simplified_triangles
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import SceneState
 
-MOST_TRIANGLES = 400_000
+MAX_TRIANGLES = 400_000
 """Largest number of triangles of a model; the meshes of a larger scene are simplified in proportion."""
 _TEXTURE_PX = 1024
 """Largest width or height of a texture."""
@@ -67,7 +67,7 @@ def scene_model(scene: DrawnScene, warn: Callable[[str], None] = lambda _: None)
         link, matrix = links.get(visual.link, -1), matrix_from_pose(visual.pose)
         parts += [(link, matrix, visual.color, part) for part in mesh.parts]
     total = sum(len(part.triangles) for *_, part in parts)
-    share = min(1.0, MOST_TRIANGLES / max(1, total))
+    share = min(1.0, MAX_TRIANGLES / max(1, total))
     for link, matrix, color, part in parts:
         texture = part.material.texture if color is None else None
         number = -1

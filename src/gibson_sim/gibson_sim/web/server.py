@@ -41,7 +41,7 @@ _TICK_S = 0.05
 """Period of velocity commands, seconds of wall time."""
 _SILENT_S = 10.0
 """Timeout for the answer to a ping, after which a page counts as disconnected, seconds of wall time."""
-_PRESENT_S, _MOST_KEPT = 0.3, 64
+_PRESENT_S, _MAX_KEPT = 0.3, 64
 """Age up to which an image counts as current, on the clock of the stamps, s; and largest number of kept images."""
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
 _POLICY = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' ws: wss:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
@@ -328,7 +328,7 @@ class PageServer:
         self._newest = {topic: image for topic, image in self._newest.items() if abs(image.stamp_s - now_s) < _PRESENT_S}
 
     def _send_image(self, image: Streamed) -> None:
-        if image.topic in self._newest or len(self._newest) < _MOST_KEPT:
+        if image.topic in self._newest or len(self._newest) < _MAX_KEPT:
             self._newest[image.topic] = image
         for page in self._pages:
             page.viewer.offer(image)

@@ -116,7 +116,7 @@ class Comparison:
         lines += [shift_line(shift) for shift in self.shifts]
         equal = sum(pair.is_equal for pair in self.pairs)
         if equal:
-            lines.append(f"{equal} of {len(self.pairs)} pairs are equal to the bit")
+            lines.append(f"{equal} of {len(self.pairs)} pairs are equal bit for bit")
         return lines + self._unpaired()
 
     def verdict(self) -> str:

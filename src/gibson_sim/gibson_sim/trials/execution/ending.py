@@ -16,7 +16,7 @@ _CLOCK = "another node publishes /clock"
 """Error of the physics node; a run's ROS domain has no other simulation."""
 _OURS = ("'record'", "'render'")
 """Lockstep participants of ours besides the trial node, as the physics node names them."""
-_LONGEST = 300
+_MAX_LENGTH = 300
 """Largest length of a quoted line, characters."""
 
 
@@ -42,13 +42,13 @@ def last_error(output: str) -> str:
     """Returns the last error in the output of a node; empty = none."""
     for line in reversed(output.splitlines()):
         if match := _ERROR.match(line.strip()):
-            return clipped(match[1], _LONGEST)
+            return clipped(match[1], _MAX_LENGTH)
     return ""
 
 
 def stack_died(code: int, last_line: str) -> Ending:
     """Returns the end of a run whose stack exited by itself."""
-    line = clipped(last_line, _LONGEST)
+    line = clipped(last_line, _MAX_LENGTH)
     return Ending("stack died", f"the stack {exit_text(code)}" + (f"; its last line: {line}" if line else "; it printed nothing"))
 
 
@@ -79,4 +79,4 @@ def reported_ending(report: TrialReport, physics_output: str) -> Ending:
         return Ending(end, report.detail)
     if any(name in waits[-1] for name in _OURS):
         return Ending("simulation failed", f"time waited for {waits[-1]}")
-    return Ending(end, f"{report.detail}; physics waited for {clipped(waits[-1], _LONGEST)}")
+    return Ending(end, f"{report.detail}; physics waited for {clipped(waits[-1], _MAX_LENGTH)}")

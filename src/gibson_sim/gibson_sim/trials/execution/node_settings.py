@@ -22,12 +22,12 @@ from gibson_sim.trials.execution.plan import MARKER, PLAN, REPORT
 from gibson_sim.trials.records import RunSpec
 from gibson_sim.trials.scenario_spec import GoalInterface, Scenario, StackSpec
 
-LONGEST_TICK_S = 86_400.0
+MAX_TICK_S = 86_400.0
 """Timeout of the physics node for a lockstep tick, seconds: the trial node, which knows whether the stack has a goal, ends a run earlier."""
 BAG = "bag"
 """Folder of the bag in the folder of the run."""
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(action|srv)/[A-Za-z]\w*")
-_MOST_LISTED = 10
+_MAX_LISTED = 10
 """Number of types of a package that a message lists."""
 POSE_TYPE = "geometry_msgs/PoseStamped"
 """Type of the field of an action's goal or a service's request that receives the pose."""
@@ -99,7 +99,7 @@ def _check_goal(goal: GoalInterface) -> None:
         hint = nearest(name, names)
         raise ConfigError(
             f"stack.goal.type is {quoted(goal.type)}, which package {package} does not have; {f'{hint} ' if hint else ''}"
-            f"known: {', '.join(names[:_MOST_LISTED])}"
+            f"known: {', '.join(names[:_MAX_LISTED])}"
         )
     table = re.search(rf"^class {part}\(.*?_fields_and_field_types = \{{(.*?)\}}", source, re.MULTILINE | re.DOTALL)
     fields = dict(re.findall(r"'(\w+)': '([^']+)'", table[1])) if table else {}
@@ -161,7 +161,7 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
     }
     if scenario.stack.lockstep:
         participants = participants_of(scenario.stack, ("trial", "record", "render") if renders else ("trial", "record"))
-        values |= {"lockstep": True, "rate": 0.0, "participants": participants, "participant_timeout": LONGEST_TICK_S}
+        values |= {"lockstep": True, "rate": 0.0, "participants": participants, "participant_timeout": MAX_TICK_S}
         values["on_timeout"] = "stop"
     else:
         values |= {"lockstep": False, "participants": "", "pipelined": False}

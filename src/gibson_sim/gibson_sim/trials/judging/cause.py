@@ -32,11 +32,11 @@ EXPLAINS = 0.5
 """Least ratio of the localisation error to the distance to the goal that explains a goal reported too early."""
 _UNINFORMATIVE: tuple[CauseKind, ...] = ("too slow", "verdict", "unknown")
 """Kinds that add no information to the verdicts."""
-_MOST_FOLLOWING = 2
+_MAX_FOLLOWING = 2
 """Number of events named after the first one."""
 _STACK = "the stack"
 """Prefix of the outcome's detail for a stack that died."""
-_LONGEST = 300
+_MAX_LENGTH = 300
 """Largest length of a quoted text in a cause, characters."""
 
 _RANKS: tuple[CauseKind, ...] = (
@@ -81,8 +81,8 @@ def cause_without_bag(outcome: Outcome, why: str) -> Cause:
         why: problem with the bag, one line.
     """
     if outcome.end in _ENDS:
-        return Cause(_ENDS[outcome.end], f"{outcome.end}: {clipped(outcome.detail, _LONGEST)}")
-    return Cause("unknown", clipped(why, _LONGEST))
+        return Cause(_ENDS[outcome.end], f"{outcome.end}: {clipped(outcome.detail, _MAX_LENGTH)}")
+    return Cause("unknown", clipped(why, _MAX_LENGTH))
 
 
 def find_cause(
@@ -122,7 +122,7 @@ def _cause(events: list[Event], run: RunSpec) -> Cause:
     text = f"after {first.begin:.1f} s{where}: {first.what}"
     following, named_kinds = 0, {str(first.kind)}
     for event in events[1:]:
-        if event.kind in named_kinds or event.kind in _UNINFORMATIVE or following == _MOST_FOLLOWING:
+        if event.kind in named_kinds or event.kind in _UNINFORMATIVE or following == _MAX_FOLLOWING:
             continue
         later = event.begin - first.begin
         text += f"; {f'{later:.1f} s later' if later >= GRID_S else 'and'} {event.what}"
@@ -186,7 +186,7 @@ def _failure(
 
 def _abort_text(outcome: Outcome, measured: Measured) -> str:
     """Returns a description of how a run was aborted."""
-    detail, distance = clipped(outcome.detail, _LONGEST), measured.goal_distance
+    detail, distance = clipped(outcome.detail, _MAX_LENGTH), measured.goal_distance
     if outcome.end == "stack died" and detail.startswith(_STACK) and distance is not None:
         return f"{_STACK}, {distance:.2f} m from the goal, {detail.removeprefix(_STACK).lstrip()}"
     return f"{outcome.end}: {detail}"
@@ -205,7 +205,7 @@ def _not_reached(scenario: Scenario, outcome: Outcome, evidence: Evidence, measu
     assert evidence.truth is not None and measured.goal_distance is not None
     end, distance, required = evidence.duration, measured.goal_distance, scenario.verdicts.reached
     if outcome.end == "gave up":
-        report = clipped(outcome.status or outcome.detail, _LONGEST)
+        report = clipped(outcome.status or outcome.detail, _MAX_LENGTH)
         return _at("gave up", end, f"the stack gave up {distance:.2f} m from the goal: {report}", evidence)
     if required is not None and distance <= required.within:
         what = (

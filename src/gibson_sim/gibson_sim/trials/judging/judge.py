@@ -13,7 +13,7 @@ from gibson_sim.trials.judging.verdicts import NOT_JUDGED, failed_verdicts, verd
 from gibson_sim.trials.records import Outcome, RunResult, RunSpec
 from gibson_sim.trials.scenario_spec import Scenario
 
-_LONGEST = 400
+_MAX_LENGTH = 400
 """Largest length of the reason why a bag cannot be read, characters."""
 
 
@@ -31,12 +31,12 @@ def judge(scenario: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> R
         evidence = read_evidence(bag, outcome, [f"/{rate.topic.lstrip('/')}" for rate in scenario.verdicts.rates])
         problem = ""
     except GibsonSimError as error:
-        evidence, problem = None, clipped(str(error), _LONGEST)
+        evidence, problem = None, clipped(str(error), _MAX_LENGTH)
     # A damaged bag can decode to arbitrary values.
     except (ValueError, IndexError, KeyError, AttributeError, OverflowError, MemoryError) as error:
         evidence, problem = (
             None,
-            f"bag {bag} holds values that make no sense ({type(error).__name__}: {clipped(str(error), _LONGEST)})",
+            f"bag {bag} holds values that make no sense ({type(error).__name__}: {clipped(str(error), _MAX_LENGTH)})",
         )
     digest = "" if evidence is None else evidence.digest
     if evidence is None or outcome.goal_ns < 0:

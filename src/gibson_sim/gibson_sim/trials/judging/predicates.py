@@ -18,7 +18,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import clipped, quoted
 from gibson_sim.trials.records import RunSpec, Verdict
 
-_LONGEST = 300
+_MAX_LENGTH = 300
 """Largest length of a predicate's text, characters."""
 Predicate = Callable[[Path, RunSpec], object]
 
@@ -44,7 +44,7 @@ def predicate_verdict(predicate: str, folder: Path, bag: Path, run: RunSpec) -> 
     if isinstance(returned, (bool, np.bool_)):
         return Verdict(name, bool(returned), f"{predicate} returned {bool(returned)}")
     if isinstance(returned, str):
-        return Verdict(name, False, clipped(returned, _LONGEST) or f"{predicate} returned an empty text")
+        return Verdict(name, False, clipped(returned, _MAX_LENGTH) or f"{predicate} returned an empty text")
     return Verdict(
         name, False, f"{predicate} returned {quoted(returned)}, must be True, False, or a text with the reason why not"
     )
@@ -108,8 +108,8 @@ def _importing_from(folder: Path) -> Iterator[None]:
 def _error_text(error: BaseException, folder: Path) -> str:
     """Returns an exception with file and line of the innermost frame in the scenario's folder, else of the innermost frame."""
     if isinstance(error, SyntaxError) and error.filename:
-        return f"{type(error).__name__}: {clipped(str(error.msg), _LONGEST)} ({error.filename}, line {error.lineno})"
+        return f"{type(error).__name__}: {clipped(str(error.msg), _MAX_LENGTH)} ({error.filename}, line {error.lineno})"
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__ and not f.filename.startswith("<")]
     scenario_frames = [frame for frame in frames if Path(frame.filename).resolve().is_relative_to(folder.resolve())]
     at = next((f" ({frame.filename}, line {frame.lineno})" for frame in reversed(scenario_frames or frames)), "")
-    return f"{type(error).__name__}: {clipped(str(error), _LONGEST)}{at}"
+    return f"{type(error).__name__}: {clipped(str(error), _MAX_LENGTH)}{at}"

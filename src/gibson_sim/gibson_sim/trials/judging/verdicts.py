@@ -19,7 +19,7 @@ RUN = "run"
 """Name of the verdict on whether a run could be judged at all."""
 NOT_JUDGED = ("simulation failed", "never ready", "stack silent", "interrupted", "wall time limit")
 """Ends after which no run passes."""
-_MOST_NAMED = 3
+_MAX_NAMED = 3
 """Number of collisions that a verdict names."""
 _TRUTH = "ground_truth/odom"
 
@@ -146,8 +146,8 @@ def _collisions(limit: int, evidence: Evidence) -> Verdict:
     touches = touches_after_goal(evidence)
     if not touches:
         return Verdict("collisions", True, "the robot touched nothing but the floor", 0.0, float(limit))
-    named = [f"{touch.other or 'something'} at {touch.begin:.1f} s" for touch in touches[:_MOST_NAMED]]
-    more = f" and {len(touches) - _MOST_NAMED} more" if len(touches) > _MOST_NAMED else ""
+    named = [f"{touch.other or 'something'} at {touch.begin:.1f} s" for touch in touches[:_MAX_NAMED]]
+    more = f" and {len(touches) - _MAX_NAMED} more" if len(touches) > _MAX_NAMED else ""
     text = f"{len(touches)} collision{'s' if len(touches) > 1 else ''}, at most {limit}: {', '.join(named)}{more}"
     return Verdict("collisions", len(touches) <= limit, text, float(len(touches)), float(limit))
 

@@ -22,7 +22,7 @@ _TRIES = 40
 """Number of starts tried until one has a goal at the right distance."""
 _TOO_LONG = 1.014
 """Largest ratio of the length of a path on the grid to the length of the same path pulled taut."""
-_LEAST_DISTANCE = 0.1
+_MIN_DISTANCE = 0.1
 """Least distance between start and goal, metres."""
 
 
@@ -143,8 +143,8 @@ def _between(site: Site, start: PlanarPose, goal: PlanarPose, keys: tuple[str, s
             keys[1],
             f"cannot be reached: no path leads from {endpoints} for robot {quoted(site.robot_name)} of radius {site.robot.radius:.2f} m",
         ) from error
-    if math.dist(start[:2], goal[:2]) < _LEAST_DISTANCE:
-        raise NoPlaceError(keys[1], f"is at the start of the run: from {endpoints}; must be {_LEAST_DISTANCE:g} m away or more")
+    if math.dist(start[:2], goal[:2]) < _MIN_DISTANCE:
+        raise NoPlaceError(keys[1], f"is at the start of the run: from {endpoints}; must be {_MIN_DISTANCE:g} m away or more")
     return Places(start, goal, round(shortest, 4), path)
 
 

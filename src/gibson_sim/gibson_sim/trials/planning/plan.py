@@ -33,7 +33,7 @@ from gibson_sim.trials.scenario_spec import SAMPLED, InitialPose, Scenario
 
 _ATTEMPTS = 20
 """Number of starts and goals sampled for a run until there is room for its obstacles."""
-_MOST_SIGMAS = 2.0
+_MAX_SIGMAS = 2.0
 """Largest error of the initial pose estimate, standard deviations."""
 
 
@@ -191,7 +191,7 @@ def _run(scenario: Scenario, site: Site, varied: VariedRobot | None, number: int
 
 
 def _initial_error(given: InitialPose, seed: int) -> PlanarPose:
-    x, y, yaw = np.clip(stream(seed, "initial_pose").standard_normal(3), -_MOST_SIGMAS, _MOST_SIGMAS).tolist()
+    x, y, yaw = np.clip(stream(seed, "initial_pose").standard_normal(3), -_MAX_SIGMAS, _MAX_SIGMAS).tolist()
     # Adding 0.0 removes negative zeros, which JSON would show.
     x, y, yaw = (
         round(float(v), 6) + 0.0 for v in (x * given.error_xy, y * given.error_xy, yaw * math.radians(given.error_yaw_deg))

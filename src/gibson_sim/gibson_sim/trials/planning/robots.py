@@ -50,12 +50,12 @@ _RATIOS = ("left_radius_factor", "right_radius_factor", "separation_factor")
 _RATIO_LIMITS = (0.5, 2.0)
 _TRACTION = {"skid_steer": 0.8, "omni": 0.5}
 """Drive type -> default of drive.traction."""
-_LEAST_TRACTION = 1e-3
-_LEAST_PAYLOAD = 1e-3
+_MIN_TRACTION = 1e-3
+_MIN_PAYLOAD = 1e-3
 """Mass below which no payload is added, kg."""
 _ANYWHERE = Path("/robot.urdf")
 """A path without packages beside it."""
-_MOST_PARENTS = 6
+_MAX_PARENTS = 6
 """Number of parent folders of a mesh that may be its package."""
 _PAYLOAD_SIZE = 0.1
 """Edge length of the payload, a cube, metres."""
@@ -119,7 +119,7 @@ class VariedRobot:
             drive["command_delay"] = drawn["latency"]
         if "friction" in drawn:
             self._set_friction(values, urdf, drawn["friction"])
-        if drawn.get("payload", 0.0) >= _LEAST_PAYLOAD:
+        if drawn.get("payload", 0.0) >= _MIN_PAYLOAD:
             _add_payload(urdf, self._model, drawn["payload"], self._payload_link, self._payload_centre)
         ET.indent(urdf, " ")
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=200)
@@ -139,7 +139,7 @@ class VariedRobot:
         drive = values["drive"]
         if drive["type"] in _TRACTION:
             traction = drive.get("traction", _TRACTION[drive["type"]])
-            drive["traction"] = float(f"{max(traction * factor, _LEAST_TRACTION):.9g}")
+            drive["traction"] = float(f"{max(traction * factor, _MIN_TRACTION):.9g}")
 
 
 def ranges_of(rules: Randomisation) -> dict[str, Range]:
@@ -227,7 +227,7 @@ def _with_portable_meshes(urdf: ET.Element, source: Path) -> ET.Element:
 
 def _portable_name(name: str, file: Path) -> str:
     """Returns a portable name of a file: its ``package://`` name if the package is installed, else its absolute path as a URI."""
-    packages = (folder for folder in list(file.parents)[:_MOST_PARENTS] if folder.name.isidentifier())
+    packages = (folder for folder in list(file.parents)[:_MAX_PARENTS] if folder.name.isidentifier())
     in_packages = (f"{PACKAGE_SCHEME}{folder.name}/{file.relative_to(folder).as_posix()}" for folder in packages)
     candidates = (name, *in_packages) if name.startswith(PACKAGE_SCHEME) else in_packages
     return next((text for text in candidates if resolve_mesh(text, _ANYWHERE) == file), file.as_uri())

@@ -42,7 +42,7 @@ _SWING_STEPS = 12
 """Number of sampled positions of a closing door: its edge moves by less than 0.15 m between two of them."""
 _SAMPLES_PER_CELL = 4
 """Number of points of a path looked up per cell of its length."""
-_MOST_NAMED = 8
+_MAX_NAMED = 8
 """Number of poses that a message names."""
 
 
@@ -248,10 +248,10 @@ class Site:
         if text not in poses:
             poses = {**{named.name: named.pose for named in self.named_poses}, **poses}
         if text not in poses:
-            hint, known = nearest(text, tuple(poses)), ", ".join(list(poses)[:_MOST_NAMED])
+            hint, known = nearest(text, tuple(poses)), ", ".join(list(poses)[:_MAX_NAMED])
             raise ConfigError(
                 f"is {quoted(text)}, must be sampled, x,y,yaw_deg in quotes, or a named pose of scene {quoted(self.scene_name)}; "
-                f"{f'{hint} ' if hint else ''}known: {known}{', ...' if len(poses) > _MOST_NAMED else ''}"
+                f"{f'{hint} ' if hint else ''}known: {known}{', ...' if len(poses) > _MAX_NAMED else ''}"
             )
         (x, y, z), (_, _, qz, qw) = poses[text].position, poses[text].quat_xyzw
         if abs(z - self.floor.floor_z) > _SAME_FLOOR:

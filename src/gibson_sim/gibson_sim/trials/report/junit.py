@@ -70,7 +70,7 @@ def _add_case(suite: ElementTree.Element, result: RunResult, file: str, folder: 
         )
         problem.text = _clean("\n".join(f"{verdict.name}: {verdict.text}" for verdict in result.verdicts if not verdict.passed))
         if can_be_replayed(folder, result):
-            lines.append(f"repeat to the bit: {replay_command(folder, run.number)}")
+            lines.append(f"replay bit for bit: {replay_command(folder, run.number)}")
         lines.append(f"run again: {rerun_command(file, run.number, options)}")
     else:
         lines.append(success(result))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 SECONDS = 10.0
 """Time before the last line from which stamped lines are tail, seconds of the clock of the stamps."""
-_MOST_BYTES, _MOST_LINES, _LONGEST_LINE, _WITHOUT_STAMPS = 64_000, 80, 240, 40
+_MAX_BYTES, _MAX_LINES, _MAX_LINE_LENGTH, _WITHOUT_STAMPS = 64_000, 80, 240, 40
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?|[@-Z\\-_])")
 """ANSI sequences: colours, cursor moves, titles."""
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff]")
@@ -21,14 +21,14 @@ def log_tail(path: Path) -> str:
     try:
         with path.open("rb") as file:
             size = file.seek(0, 2)
-            file.seek(max(0, size - _MOST_BYTES))
-            data = file.read(_MOST_BYTES)
+            file.seek(max(0, size - _MAX_BYTES))
+            data = file.read(_MAX_BYTES)
     except OSError:
         return ""
     lines = [_clean(line) for line in data.decode("utf-8", errors="replace").split("\n")]
     while lines and not lines[-1].strip():
         lines.pop()
-    tail = lines[-_MOST_LINES:]
+    tail = lines[-_MAX_LINES:]
     stamps = [(i, float(match[1])) for i, line in enumerate(tail) for match in [_STAMP.search(line)] if match]
     if not stamps:
         return "\n".join(tail[-_WITHOUT_STAMPS:])
@@ -39,4 +39,4 @@ def log_tail(path: Path) -> str:
 def _clean(line: str) -> str:
     # Of a line that a program rewrote, such as a progress bar, only the final state is kept.
     text = CONTROL.sub("�", _ESCAPE.sub("", line.rstrip("\r").rpartition("\r")[2]).replace("\t", "    "))
-    return text if len(text) <= _LONGEST_LINE else f"{text[:_LONGEST_LINE]} ... ({len(text)} characters)"
+    return text if len(text) <= _MAX_LINE_LENGTH else f"{text[:_MAX_LINE_LENGTH]} ... ({len(text)} characters)"

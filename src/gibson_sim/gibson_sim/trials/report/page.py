@@ -31,7 +31,7 @@ from gibson_sim.trials.report.words import (
 FILE = "index.html"
 _OPEN = 3
 """Number of failed runs whose details are initially open."""
-_MOST_PICTURES = 24_000_000
+_MAX_PICTURES = 24_000_000
 """Largest total size of the page's pictures, bytes; pictures of later runs are omitted."""
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """Content security policy: the page may load only embedded content."""
@@ -218,7 +218,7 @@ class _Pictures:
     """Pictures embedded in the page, up to a total size."""
 
     def __init__(self) -> None:
-        self._room = _MOST_PICTURES
+        self._room = _MAX_PICTURES
         self.left_out = 0
         """Number of runs whose pictures were omitted."""
 

@@ -21,7 +21,7 @@ from gibson_sim.writing import write_file
 RESULTS = "results.json"
 """Name of the file."""
 _FORMAT = 1
-_MOST_BYTES = 1_000_000_000
+_MAX_BYTES = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +177,7 @@ def read_results(path: Path) -> TrialResults:
     """
     file = path / RESULTS if path.is_dir() else path
     try:
-        values = json.loads(read_file(file, _MOST_BYTES))
+        values = json.loads(read_file(file, _MAX_BYTES))
         results = tuple(result_from_json(item) for item in values["results"])
         return TrialResults(
             name=str(values["name"]),

@@ -12,7 +12,7 @@ from gibson_sim.quoting import clipped
 from gibson_sim.trials.records import PlanarPose, RunResult, RunSpec
 from gibson_sim.types import NS_PER_S
 
-_LONGEST = 400
+_MAX_LENGTH = 400
 """Largest length of a line about a run, characters."""
 _NAME = re.compile(r"[^\w-]+")
 
@@ -61,9 +61,9 @@ def seconds_of(result: RunResult) -> float:
 def reason(result: RunResult) -> str:
     """Returns the reason why a run failed, one line."""
     if result.cause is not None:
-        return clipped(result.cause.text, _LONGEST)
+        return clipped(result.cause.text, _MAX_LENGTH)
     failed = [verdict.text for verdict in result.verdicts if not verdict.passed]
-    return clipped(failed[0] if failed else result.outcome.detail or result.outcome.end, _LONGEST)
+    return clipped(failed[0] if failed else result.outcome.detail or result.outcome.end, _MAX_LENGTH)
 
 
 def success(result: RunResult) -> str:

@@ -54,7 +54,7 @@ from gibson_sim.trials.scenario_spec import (
     Verdicts,
 )  # fmt: skip
 
-MOST_RUNS = 10_000
+MAX_RUNS = 10_000
 """Largest number of runs of a trial, all scenes and robots together."""
 ALL = "all"
 """Stands for all scenes that are found by name, and for all doors of a scene."""
@@ -229,7 +229,7 @@ SCENARIO = Section(Scenario, {
     "scenes": ListOf(Text("the name of a scene, a file, or all"), 1000),
     "stack": _STACK,
     "robots": ListOf(Text("the name of a robot, or a file"), 100),
-    "runs": Number(1, MOST_RUNS, whole=True),
+    "runs": Number(1, MAX_RUNS, whole=True),
     "seed": Number(0, 2**53, whole=True),
     "starts": _POSES,
     "goals": _POSES,

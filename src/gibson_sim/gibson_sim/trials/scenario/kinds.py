@@ -17,11 +17,11 @@ from gibson_sim.settings import nearest
 from gibson_sim.trials.scenario_spec import SAMPLED
 
 Schema = dict[str, Any]
-_LONGEST_TEXT = 4096
+_MAX_TEXT_LENGTH = 4096
 """Largest length of a text, characters."""
-_LONGEST_KEY = 80
+_MAX_KEY_LENGTH = 80
 """Length from which a message quotes and clips an unknown key, characters."""
-_MOST_MISTAKES = 20
+_MAX_MISTAKES = 20
 """Largest number of mistakes recorded for a file."""
 
 
@@ -43,10 +43,10 @@ class Location:
 
     def note(self, text: str) -> None:
         """Records a mistake; ``text`` does not name the location."""
-        if len(self.mistakes) < _MOST_MISTAKES:
+        if len(self.mistakes) < _MAX_MISTAKES:
             self.mistakes.append(f"{self.path} {text}" if self.path else text)
-        elif len(self.mistakes) == _MOST_MISTAKES:
-            self.mistakes.append(f"has more than {_MOST_MISTAKES} mistakes: fix these first")
+        elif len(self.mistakes) == _MAX_MISTAKES:
+            self.mistakes.append(f"has more than {_MAX_MISTAKES} mistakes: fix these first")
 
     def refuse(self, value: object, required: str) -> None:
         """Records that a value is not allowed."""
@@ -125,7 +125,7 @@ class Text:
 
     def read(self, value: Any, at: Location) -> Any:
         """See ``Kind``."""
-        if not isinstance(value, str) or not (value or self.empty) or len(value) > _LONGEST_TEXT:
+        if not isinstance(value, str) or not (value or self.empty) or len(value) > _MAX_TEXT_LENGTH:
             return at.refuse(value, self.allowed)
         if value and self.pattern and not re.fullmatch(self.pattern, value, re.ASCII):
             return at.refuse(value, self.allowed)
@@ -134,7 +134,7 @@ class Text:
 
     def schema(self) -> Schema:
         """See ``Kind``."""
-        result: Schema = {"type": "string", "minLength": 0 if self.empty else 1, "maxLength": _LONGEST_TEXT}
+        result: Schema = {"type": "string", "minLength": 0 if self.empty else 1, "maxLength": _MAX_TEXT_LENGTH}
         if self.pattern:
             result["pattern"] = f"^(?:{self.pattern})?$" if self.empty else f"^(?:{self.pattern})$"
         return result
@@ -283,19 +283,19 @@ class CommandLine:
 
     def read(self, value: Any, at: Location) -> Any:
         """Returns a tuple of texts."""
-        if isinstance(value, str) and len(value) <= _LONGEST_TEXT:
+        if isinstance(value, str) and len(value) <= _MAX_TEXT_LENGTH:
             try:
                 value = self.split(value)
             except ValueError as error:
                 return at.note(f"is {quoted(value)}: {str(error).lower()}")
-        is_valid = isinstance(value, list) and all(isinstance(word, str) and len(word) <= _LONGEST_TEXT for word in value)
+        is_valid = isinstance(value, list) and all(isinstance(word, str) and len(word) <= _MAX_TEXT_LENGTH for word in value)
         if not is_valid or not 1 <= len(value) <= self.maximum or not value[0]:
             return at.refuse(value, self.allowed)
         return tuple(value)
 
     def schema(self) -> Schema:
         """See ``Kind``."""
-        text = {"type": "string", "maxLength": _LONGEST_TEXT}
+        text = {"type": "string", "maxLength": _MAX_TEXT_LENGTH}
         array = {
             "type": "array",
             "prefixItems": [{**text, "minLength": 1}],
@@ -331,7 +331,7 @@ class Variables:
                 place.note("is not a variable name: letters, digits and _, no digit first")
             elif name in self.reserved:
                 place.note("is set by the trial; leave it out")
-            elif isinstance(text, bool) or not isinstance(text, (str, int, float)) or len(str(text)) > _LONGEST_TEXT:
+            elif isinstance(text, bool) or not isinstance(text, (str, int, float)) or len(str(text)) > _MAX_TEXT_LENGTH:
                 place.refuse(text, "text or a number; quote true and false")
             else:
                 result[name] = str(text)
@@ -342,7 +342,7 @@ class Variables:
         return {
             "type": "object",
             "propertyNames": {"pattern": f"^{self.pattern}$", "not": {"enum": list(self.reserved)}},
-            "additionalProperties": {"type": ["string", "number"], "maxLength": _LONGEST_TEXT},
+            "additionalProperties": {"type": ["string", "number"], "maxLength": _MAX_TEXT_LENGTH},
             "maxProperties": self.maximum,
         }
 
@@ -476,7 +476,7 @@ def _is_number(value: Any) -> bool:
 
 def key_text(key: object) -> str:
     """Returns a key of a file as part of a key path in a message."""
-    return key if isinstance(key, str) and key.isprintable() and 0 < len(key) < _LONGEST_KEY else quoted(key)
+    return key if isinstance(key, str) and key.isprintable() and 0 < len(key) < _MAX_KEY_LENGTH else quoted(key)
 
 
 def _number_text(value: float) -> str:

@@ -17,7 +17,7 @@ from gibson_sim.reading import is_file, is_folder, read_yaml_file
 from gibson_sim.resources import find_config, find_robot, find_scene, known_objects, list_robots, list_scenes
 from gibson_sim.scenes.randomise import load_rules
 from gibson_sim.settings import nearest
-from gibson_sim.trials.scenario.keys import ALL, MOST_RUNS, SCENARIO
+from gibson_sim.trials.scenario.keys import ALL, MAX_RUNS, SCENARIO
 from gibson_sim.trials.scenario.kinds import Location
 from gibson_sim.trials.scenario.predicates import predicate_problem
 from gibson_sim.trials.scenario_spec import Obstacles, Scenario, StackSpec, Verdicts
@@ -28,9 +28,9 @@ _MAX_BYTES = 1_000_000
 """Largest size of a scenario file, bytes."""
 _PYTHON = ("python", "python3")
 """Program names that stand for the interpreter of this process."""
-_LONGEST = 2000
+_MAX_LENGTH = 2000
 """Largest length of a mistake, characters."""
-_MOST_LISTED = 3
+_MAX_LISTED = 3
 """Number of further mistakes whose keys a message names."""
 
 
@@ -38,10 +38,10 @@ class ScenarioError(ConfigError):
     """A scenario file has mistakes or cannot be satisfied. The message is the first mistake."""
 
     def __init__(self, file: Path, mistakes: Sequence[str]) -> None:
-        self.mistakes = tuple(clipped(f"{file}: {mistake}", _LONGEST) for mistake in mistakes)
+        self.mistakes = tuple(clipped(f"{file}: {mistake}", _MAX_LENGTH) for mistake in mistakes)
         """All mistakes, one line each."""
         more = [mistake.split(" ", 1)[0].rstrip(":") for mistake in mistakes[1:]]
-        keys = ", ".join(more[:_MOST_LISTED]) + (", ..." if len(more) > _MOST_LISTED else "")
+        keys = ", ".join(more[:_MAX_LISTED]) + (", ..." if len(more) > _MAX_LISTED else "")
         super().__init__(f"{self.mistakes[0]}{f' ({len(more)} more: {keys})' if more else ''}")
 
 
@@ -91,10 +91,10 @@ class _Resolver:
         scenes = self._scenes(scenario.scenes)
         robots = self._robots(scenario.robots)
         runs = len(scenes) * len(robots) * scenario.runs
-        if runs > MOST_RUNS:
+        if runs > MAX_RUNS:
             self._top.key("runs").note(
                 f"is {scenario.runs}, which makes {runs} runs of {len(scenes)} scenes and {len(robots)} robots, "
-                f"must be at most {MOST_RUNS} together"
+                f"must be at most {MAX_RUNS} together"
             )
         return replace(
             scenario,

@@ -1,6 +1,6 @@
 // The map: occupancy grid, robots, scan, paths, named poses, doors and objects, in metres; initially x right and y up.
 
-const MOST_TINTED = 16e6; // largest number of cells of a map drawn in the colours of the page
+const MAX_TINTED = 16e6; // largest number of cells of a map drawn in the colours of the page
 const CLICK = 5, NEAR = 12; // pixels: a press that moves less is a click; radius in which a click selects an object
 const dark = matchMedia('(prefers-color-scheme: dark)');
 
@@ -36,7 +36,7 @@ export class FloorMap {
   // Draws free cells and obstacles in the colours of the page.
   tint() {
     const g = this.grid;
-    if (!g || g.width * g.height > MOST_TINTED) return;
+    if (!g || g.width * g.height > MAX_TINTED) return;
     const canvas = Object.assign(document.createElement('canvas'), { width: g.width, height: g.height }), c = canvas.getContext('2d', { willReadFrequently: true });
     const rgb = (name) => { c.fillStyle = this.color(name); c.fillRect(0, 0, 1, 1); return c.getImageData(0, 0, 1, 1).data.slice(0, 3); };
     const free = rgb('--floor'), wall = rgb('--wall');

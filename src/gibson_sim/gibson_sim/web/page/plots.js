@@ -2,7 +2,7 @@
 import { $, element, note, remember, remembered } from './dom.js';
 
 const SPAN = 60; // seconds
-const MOST_CURVES = 16, MOST_IN_ONE = 4;
+const MAX_CURVES = 16, MAX_IN_ONE = 4;
 const COLORS = ['--accent', '--curve-2', '--curve-3', '--curve-4'];
 
 // Returns ticks at round numbers, at intervals of a quarter of the range or more.
@@ -61,7 +61,7 @@ export class Plots {
   enable() {
     const last = this.plots.at(-1);
     $('plot-new').disabled = !this.fields.length;
-    $('plot-over').disabled = !this.fields.length || !last || last.curves.length >= MOST_IN_ONE;
+    $('plot-over').disabled = !this.fields.length || !last || last.curves.length >= MAX_IN_ONE;
   }
 
   get curves() { return this.plots.flatMap((p) => p.curves); }
@@ -69,7 +69,7 @@ export class Plots {
   add(over) {
     const field = this.fields.find((f) => f.path === $('plot-field').value), last = this.plots.at(-1);
     if (!field) return;
-    if (this.curves.length >= MOST_CURVES) { note(`${MOST_CURVES} curves are plotted already: close one first`, true); return; }
+    if (this.curves.length >= MAX_CURVES) { note(`${MAX_CURVES} curves are plotted already: close one first`, true); return; }
     if (over && last) { if (!last.curves.some((c) => keyOf(c) === keyOf(field))) last.curves.push(field); this.label(last); } else this.plots.push(this.make([field]));
     this.changed();
   }

@@ -3,7 +3,7 @@ import { $, download, element, fileName, note, remember, remembered } from './do
 import { zip } from './zip.js';
 
 const PATIENCE_MS = 5000; // timeout for snapshots of all cameras
-const MOST = 16; // largest number of videos that the server allows
+const MAX_VIDEOS = 16; // largest number of videos that the server allows
 
 export class Videos {
   constructor(onWatch) {
@@ -13,7 +13,7 @@ export class Videos {
   }
 
   // Topics to be sent: shown videos and awaited snapshots.
-  get needed() { return [...new Set([...this.shown.keys(), ...this.wanted.keys()])].slice(0, MOST); }
+  get needed() { return [...new Set([...this.shown.keys(), ...this.wanted.keys()])].slice(0, MAX_VIDEOS); }
 
   setTopics(topics) { this.topics = topics; this.update(); }
 
@@ -82,7 +82,7 @@ export class Videos {
 
   // Takes a snapshot with every camera and downloads them as one ZIP file.
   async takeAll() {
-    const topics = this.topics.slice(0, MOST);
+    const topics = this.topics.slice(0, MAX_VIDEOS);
     $('pictures').disabled = true;
     const taken = topics.map((t) => new Promise((done) => {
       this.wanted.set(t.topic, (data) => { this.wanted.delete(t.topic); done([`${fileName(t.label)}.jpg`, new Uint8Array(data)]); });
