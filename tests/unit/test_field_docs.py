@@ -49,7 +49,7 @@ def test_what_is_no_dataclass_stays_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("LightSpec", "sun_color: sRGB, 0 to 1."),
+        ("LightSpec", "sun_color: Colour of the sunlight, sRGB, 0 to 1."),
         ("CameraSpec", "fov_y: Vertical field of view of a pinhole camera without ``matrix``, radians, in (0, pi)."),
         ("RobotSpec", "name: "),
     ],

@@ -161,7 +161,7 @@ class CameraSpec:
     far: float = 100.0
     """Maximum depth, metres; beyond it depth is +inf (REP 117)."""
     rate_hz: float = 30.0
-    """Images per second of simulation time."""
+    """Image rate, Hz, in simulation time."""
     outputs: tuple[Output, ...] = DEFAULT_OUTPUTS
     """Outputs, all rendered in one pass."""
     projection: Projection = "pinhole"
@@ -292,7 +292,7 @@ class SceneState:
     quats_xyzw: NDArray[np.float64] = field(repr=False)
     """Orientations of the link frames, (N, 4), unit quaternions."""
     twists: NDArray[np.float64] = field(repr=False)
-    """(N, 6), world frame: linear velocity of the link frame's origin (m/s), then angular velocity (rad/s)."""
+    """Velocities, (N, 6), world frame: linear velocity of the link frame's origin (m/s), then angular velocity (rad/s)."""
 
     def __post_init__(self) -> None:
         n = len(self.links)
@@ -361,25 +361,26 @@ class Frame:
     T_world_camera: NDArray[np.float64]
     """Pose of the optical frame, (4, 4)."""
     rgb: NDArray[np.uint8] | None = None
-    """(height, width, 3) uint8, sRGB, or None if not requested."""
+    """Colours, (height, width, 3) uint8, sRGB, or None if not requested."""
     depth: NDArray[np.float32] | None = None
-    """(height, width) float32, metres along the optical axis (fisheye, equirectangular: from the camera's centre), +inf = nothing
+    """Depth, (height, width) float32, metres along the optical axis (fisheye, equirectangular: from the camera's centre), +inf = nothing
     (REP 117/118), or None. With depth noise also -inf = too near, NaN = a hole."""
     semantic: NDArray[np.uint16] | None = None
-    """(height, width) uint16, index into the scene's semantic classes, 0 = nothing or unlabelled, or None."""
+    """Class IDs, (height, width) uint16, index into the scene's semantic classes, 0 = nothing or unlabelled, or None."""
     instance: NDArray[np.uint16] | None = None
-    """(height, width) uint16, index into the scene's instances, 0 = nothing, or None."""
+    """Instance IDs, (height, width) uint16, index into the scene's instances, 0 = nothing, or None."""
     normal: NDArray[np.float32] | None = None
-    """(height, width, 3) float32, unit normals in the optical frame, facing the camera, 0 = nothing, or None."""
+    """Normals, (height, width, 3) float32, unit vectors in the optical frame, facing the camera, 0 = nothing, or None."""
     normal_world: NDArray[np.float32] | None = None
     """``normal`` in the world frame."""
     position: NDArray[np.float32] | None = None
-    """(height, width, 3) float32, points in the world frame, metres, NaN = nothing, or None."""
+    """Positions, (height, width, 3) float32, world frame, metres, NaN = nothing, or None."""
     flow: NDArray[np.float32] | None = None
-    """(height, width, 2) float32, motion of the visible point since the previous state, pixels right and down, NaN = nothing; or None."""
+    """Optical flow, (height, width, 2) float32, motion of the visible point since the previous state, pixels right and down, NaN = nothing;
+    or None."""
     hole: NDArray[np.uint8] | None = None
-    """(height, width) uint8: 0 = the front of a surface, 1 = nothing is drawn, 2 = the back of an opaque surface of the static world, as seen
-    through a wall that a scan lacks, 3 = outside the lens's view, or the sky; or None. See ``filling.holes``."""
+    """Hole classes, (height, width) uint8: 0 = the front of a surface, 1 = nothing is drawn, 2 = the back of an opaque surface of the
+    static world, as seen through a wall that a scan lacks, 3 = outside the lens's view, or the sky; or None. See ``filling.holes``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -50,7 +50,7 @@ class TopicReport:
     last_ns: int = 0
     """Both 0 if the topic has no message."""
     rate_hz: float = 0.0
-    """Messages a second of simulation time, from the nominal period; 0 = the topic has no rate."""
+    """Message rate in simulation time, Hz, from the nominal period; 0 = the topic has no rate."""
     missing: int | None = None
     """Messages missing by the nominal period; None = it cannot be told, as of topics without a rate or without stamps, and of camera_info
     without its images: both come only while the images have subscribers."""
@@ -78,7 +78,7 @@ class OdometryReport:
 
     @property
     def stood(self) -> bool:
-        """Whether the robot stood still; it moves by less than that while it settles on its wheels."""
+        """Whether the robot stood still, apart from settling on its wheels."""
         return self.distance_m < _STOOD_M
 
     def text(self) -> str:
@@ -104,13 +104,13 @@ class BagReport:
     notes: tuple[str, ...]
     """Findings that are not errors."""
     odometries: tuple[OdometryReport, ...] = ()
-    """Of each robot with wheel odometry and ground truth."""
+    """Report of each robot with wheel odometry and ground truth."""
     touches: tuple[Touch, ...] = ()
-    """What the robots touched, in the order of time."""
+    """Contacts of the robots, ordered by time."""
     seconds: float = 0.0
     """Time between the first and the last message."""
     compared: tuple[str, ...] = ()
-    """What the stamps of every image were compared with."""
+    """Topics with which the stamps of every image were compared."""
 
     @property
     def ok(self) -> bool:
@@ -141,12 +141,12 @@ class BagReport:
         )
 
     def _legend(self) -> list[str]:
-        """Returns what a dash in the table means, if there is one."""
+        """Returns the legend of dashes in the table, if there are any."""
         lacks = any(topic.info.count and not (topic.rate_hz and topic.missing is not None) for topic in self.topics)
         return [_LEGEND] if lacks else []
 
     def findings(self) -> list[str]:
-        """Returns what was found, a line each: what the robots did, notes, problems, and the verdict."""
+        """Returns the findings, one line each: motion and contacts of the robots, notes, problems, and the verdict."""
         lines = [odometry.text() for odometry in self.odometries]
         shown = self.touches[:_MOST_TOUCHES]
         lines += [f"contact: {touch.text()}" for touch in shown]
@@ -170,11 +170,11 @@ _LEGEND = (
     "missing -: not counted without a rate, nor for camera_info without its images"
 )
 _MOST_TOUCHES = 20
-"""Contacts that a report lists."""
+"""Maximum number of contacts that a report lists."""
 _STOOD_M = 0.01
-"""Length of a path below which the robot is said to have stood, metres."""
+"""Path length below which the robot counts as standing still, metres."""
 _SLIP_M, _SLIP_PART = 0.05, 0.05
-"""Difference of the paths, metres, and as a part of the true one, from which on wheels are said to have slipped."""
+"""Difference of the path lengths above which wheel slip is reported, metres, and as a fraction of the true length."""
 
 
 def _counted(number: int, noun: str) -> str:
@@ -196,16 +196,16 @@ class _Collected:
     log_ns: dict[str, Stamps] = field(default_factory=dict)
     touches: tuple[Touch, ...] = ()
     tf_stamps: dict[str, list[int]] = field(default_factory=dict)
-    """By topic and child frame, since a topic has several publishers."""
+    """Topic and child frame -> stamps, since a transform topic has several publishers."""
     poses: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    """x, y, yaw (N, 3) of odometry topics, in their own frame."""
+    """Odometry topic -> poses x, y, yaw, (N, 3), in its frame."""
 
 
 def check_bag(folder: str | Path) -> BagReport:
     """Reads a whole bag and checks it.
 
-    An image must carry the stamp of an odometry message and of its camera_info, and stamps must strictly increase. Images
-    before the first or after the last odometry message (recording began or ended between them) are notes.
+    An image must have the stamp of an odometry message and of its camera_info, and stamps must strictly increase. Images
+    before the first or after the last odometry message (the recording began or ended between them) are reported as notes.
 
     Raises:
         RecordError: the bag cannot be read.
@@ -265,7 +265,7 @@ def _collect(bag: BagReader, infos: dict[str, TopicInfo]) -> _Collected:
 
 
 def _missing_notes(reports: Iterable[TopicReport]) -> list[str]:
-    """Returns a note for each number of missing messages: the topics of one camera miss the same ones."""
+    """Returns a note for each number of missing messages: the topics of one camera lack the same messages."""
     alike: dict[tuple[int, int], list[str]] = {}
     for report in reports:
         if report.missing and report.info.type_name in ONE_SOURCE:
@@ -299,17 +299,17 @@ def _order_problems(infos: dict[str, TopicInfo], data: _Collected) -> list[str]:
 
 
 def _partners(topic: str, infos: dict[str, TopicInfo]) -> list[str]:
-    """Returns the topics of the bag whose stamps an image must share."""
+    """Returns the topics of the bag that must contain the stamps of an image."""
     candidates = [_odometry_topic(topic, infos), base_topic(topic).rpartition("/")[0] + "/camera_info"]
     return [c for c in candidates if c in infos and infos[c].count]
 
 
 def _odometry_topic(topic: str, infos: dict[str, TopicInfo]) -> str:
     """Returns the wheel odometry with the longest namespace that the image shares: ``/odom`` or ``/robot1/odom``."""
-    found = [
+    candidates = [
         t for t, i in infos.items() if i.type_name == ODOMETRY and t.endswith("/odom") and not t.endswith("ground_truth/odom")
     ]
-    inside = [t for t in found if topic.startswith(t.removesuffix("odom"))]
+    inside = [t for t in candidates if topic.startswith(t.removesuffix("odom"))]
     return max(inside, key=len, default="")
 
 
@@ -334,7 +334,7 @@ def _compare(topic: str, partner: str, data: _Collected, problems: list[str], no
     if inside.any():
         notes.append(f"{topic}: {outside}")
     elif all(is_of_this_clock(data.stamps[t], data.log_ns[t]) for t in (topic, partner)):
-        # A recording subscribes to its topics one after the other: a short one has few messages of each, at different times.
+        # A recorder subscribes to its topics one by one: a short recording has few messages of each topic, at different times.
         notes.append(f"{topic}: all of its {outside}, so that their stamps cannot be compared")
     else:
         problems.append(
@@ -349,7 +349,7 @@ def _span(stamps: Stamps) -> str:
 
 
 def _topic_report(info: TopicInfo, stamps: Stamps | None, log_ns: Stamps, images: list[str]) -> TopicReport:
-    """Returns the timing of a topic of a bag with these topics of images."""
+    """Returns the timing of a topic; ``images``: image topics of the bag."""
     stamped = stamps is not None and is_of_this_clock(stamps, log_ns)
     times = stamps if stamped and stamps is not None else log_ns
     if not len(times):
@@ -375,11 +375,11 @@ def _odometry(robot: str, infos: dict[str, TopicInfo], data: _Collected) -> Odom
     common, at_wheels, at_truth = np.intersect1d(data.stamps[wheels], data.stamps[truth], return_indices=True)
     if len(common) < 2:
         return None
-    told, true = data.poses[wheels][at_wheels], data.poses[truth][at_truth]
-    x, y, yaw = _seen_from_start(told) - _seen_from_start(true)
+    measured, true = data.poses[wheels][at_wheels], data.poses[truth][at_truth]
+    x, y, yaw = _seen_from_start(measured) - _seen_from_start(true)
     return OdometryReport(
         distance_m=_length(true),
-        odometry_distance_m=_length(told),
+        odometry_distance_m=_length(measured),
         end_error_m=float(np.hypot(x, y)),
         end_error_deg=abs(float(np.degrees(wrap_angle(float(yaw))))),
         robot=robot,
@@ -387,7 +387,7 @@ def _odometry(robot: str, infos: dict[str, TopicInfo], data: _Collected) -> Odom
 
 
 def _seen_from_start(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns x, y, yaw (3,) of the last pose in the frame of the first one."""
+    """Returns x, y, yaw (3,) of the last pose in the frame of the first pose."""
     dx, dy, turn = poses[-1] - poses[0]
     c, s = np.cos(poses[0, 2]), np.sin(poses[0, 2])
     return np.array([c * dx + s * dy, c * dy - s * dx, turn])

@@ -1,7 +1,7 @@
-"""Message definitions as a bag embeds them: the text of a type, the texts of all nested types, and its RIHS01 hash.
+"""Message definitions as embedded in a bag: the text of a type, the texts of all nested types, and its RIHS01 hash.
 
-A definition is searched for in those that the caller gives, in the ROS installations, in the source tree, and last in the Jazzy types
-of `rosbags`. Must not import rclpy or a message package.
+Definitions are searched in those that the caller gives, in the ROS installations, in the source tree, and last in the Jazzy types of
+`rosbags`. Must not import rclpy or a message package.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gibson_sim.quoting import quoted
 
 _SEPARATOR = "=" * 80
 _SERVICE_SEPARATOR = re.compile(r"^---[^\S\n]*$\n?", re.MULTILINE)
-"""Line between request and response."""
+"""Separator line between request and response."""
 _TYPE_NAME = re.compile(r"([a-zA-Z][a-zA-Z0-9_]*)/(?:msg/)?([a-zA-Z][a-zA-Z0-9_]*)")
 
 
@@ -70,12 +70,12 @@ class MessageDefinitions:
         text = _installed_text(package, "srv", name)
         if text is None:
             raise RecordError(f"service type {quoted(type_name)}: no .srv file found; source the workspace that defines it")
-        found = []
+        definitions = []
         for part, lines in zip(("Request", "Response"), [*_SERVICE_SEPARATOR.split(text, maxsplit=1), ""], strict=False):
             full = f"{package}/msg/{name}_{part}"
             self._texts[full] = lines.strip("\n") + "\n"
-            found.append(self._resolve(full)[0])
-        return found[0], found[1]
+            definitions.append(self._resolve(full)[0])
+        return definitions[0], definitions[1]
 
     def type_hash(self, type_name: str) -> str:
         """Returns the hash of the type, ``RIHS01_<64 hex digits>``.
@@ -103,7 +103,7 @@ class MessageDefinitions:
         return self._full[name]
 
     def _text(self, name: str, wanted_by: str) -> str:
-        """Returns the text of one type alone."""
+        """Returns the text of a type without its nested types."""
         if name not in self._texts:
             package, _, short = name.partition("/msg/")
             text = _installed_text(package, "msg", short)

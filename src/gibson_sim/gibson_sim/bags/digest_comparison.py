@@ -1,4 +1,4 @@
-"""Compares two runs by the digests of their ticks and finds the first difference. Pure."""
+"""Compares two runs by the digests of their ticks and determines the first difference. Pure."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any, TypeAlias
 from gibson_sim.types import NS_PER_S
 
 Tick: TypeAlias = tuple[int, int]
-"""Epoch, and steps since it began."""
+"""Epoch, and number of steps since it began."""
 _STATE_TOPIC, _FLOW_TOPIC = "scene_state", "/flow/image_raw"
 
 
 @dataclass(frozen=True, slots=True)
 class TickDigests:
-    """Digests of what one node published at a tick."""
+    """Digests of the data that one node published at a tick."""
 
     stamp_ns: int
     topics: tuple[str, ...]
@@ -25,7 +25,7 @@ class TickDigests:
 
     @property
     def is_physics(self) -> bool:
-        """Whether they come from the physics node; otherwise they are of images."""
+        """Whether they are from the physics node; else they are digests of images."""
         return any(topic.rpartition("/")[2] == _STATE_TOPIC for topic in self.topics)
 
     def values(self) -> dict[str, int]:
@@ -56,20 +56,20 @@ class Verification:
     images: int = 0
     """Compared ticks with images."""
     missing_images: int = 0
-    """Images, by tick and topic, that only the first run has; they are not compared."""
+    """Number of (tick, topic) pairs with images that only the first run has; they are not compared."""
     unknown_images: int = 0
-    """Images that only the second run has."""
+    """Number of (tick, topic) pairs with images that only the second run has."""
     without_images: bool = False
-    """Whether the second run draws nothing, so that only physics is compared."""
+    """Whether the second run renders no images, so that only physics is compared."""
     first: Difference | None = None
     differing: Mapping[str, int] = field(default_factory=dict)
-    """Topic -> ticks at which it differs."""
+    """Topic -> number of ticks at which it differs."""
     compared: Mapping[str, int] = field(default_factory=dict)
-    """Topic -> ticks at which it was compared."""
+    """Topic -> number of ticks at which it was compared."""
 
     @property
     def is_equal(self) -> bool:
-        """Whether the second run repeats the first to the bit, as far as they can be compared."""
+        """Whether the compared data of both runs are bit-equal."""
         nothing_drawn = bool(self.missing_images) and not self.images and not self.without_images
         return self.ticks > 0 and not self.missing_ticks and not self.differing and not nothing_drawn
 
@@ -109,8 +109,8 @@ def verification_from_json(values: Mapping[str, Any]) -> Verification:
 class DigestComparison:
     """Compares a run in progress with a recorded one.
 
-    Every tick of physics counts, with every topic. Only images that both runs have count: which ones are drawn depends on subscribers
-    and on the speed of the machine. Optical flow counts only if the previous image was of the same tick in both runs.
+    All ticks and topics of physics are compared. Only images that both runs have are compared, since the rendered images depend on subscribers
+    and on the speed of the machine. Optical flow is compared only if the previous image was of the same tick in both runs.
 
     Args:
         expected: digests of the recorded run.
@@ -121,14 +121,14 @@ class DigestComparison:
         self._physics: dict[Tick, TickDigests] = {}
         self._images: dict[Tick, dict[str, int]] = defaultdict(dict)
         self._has_images = images
-        for tick, found in expected.items():
-            for item in found:
+        for tick, digests in expected.items():
+            for item in digests:
                 if item.is_physics:
                     self._physics[tick] = item
                 elif images:
                     self._images[tick].update(item.values())
         self.last = max(self._physics, default=None)
-        """Last tick of physics; None = there is none."""
+        """Last tick of physics; None = no ticks."""
         self._before = _previous_ticks(self._images)
         self._latest: dict[str, Tick] = {}
         self._seen_physics: set[Tick] = set()
@@ -142,7 +142,7 @@ class DigestComparison:
     @property
     def image_topics(self) -> tuple[str, ...]:
         """Topics of the compared images."""
-        return tuple(sorted({topic for found in self._images.values() for topic in found}))
+        return tuple(sorted({topic for by_topic in self._images.values() for topic in by_topic}))
 
     def is_complete(self, tick: Tick) -> bool:
         """Returns whether all expected digests of a tick have arrived."""
@@ -150,27 +150,27 @@ class DigestComparison:
         physics = tick not in self._physics or tick in self._seen_physics
         return physics and all((tick, topic) in self._seen_images for topic in images)
 
-    def add(self, tick: Tick, found: TickDigests) -> None:
-        """Compares the digests of one node at a tick; ticks after the last one of the recorded run do not count."""
+    def add(self, tick: Tick, digests: TickDigests) -> None:
+        """Compares the digests of one node at a tick; ignores ticks after the last tick of the recorded run."""
         if self.last is None or tick > self.last:
             return
-        if found.is_physics:
-            self._add_physics(tick, found)
+        if digests.is_physics:
+            self._add_physics(tick, digests)
         elif self._has_images:
-            self._add_images(tick, found)
+            self._add_images(tick, digests)
 
-    def _add_physics(self, tick: Tick, found: TickDigests) -> None:
+    def _add_physics(self, tick: Tick, digests: TickDigests) -> None:
         expected = self._physics.get(tick)
         if expected is None:
             self._unknown_ticks += 1
             return
         self._seen_physics.add(tick)
-        before, now = expected.values(), found.values()
-        self._compare(tick, found.stamp_ns, [(topic, before.get(topic), now.get(topic)) for topic in {**before, **now}])
+        before, now = expected.values(), digests.values()
+        self._compare(tick, digests.stamp_ns, [(topic, before.get(topic), now.get(topic)) for topic in {**before, **now}])
 
-    def _add_images(self, tick: Tick, found: TickDigests) -> None:
+    def _add_images(self, tick: Tick, digests: TickDigests) -> None:
         expected, pairs = self._images.get(tick, {}), []
-        for topic, digest in found.values().items():
+        for topic, digest in digests.values().items():
             previous, self._latest[topic] = self._latest.get(topic), tick
             if topic not in expected:
                 self._unknown_images += 1
@@ -180,10 +180,10 @@ class DigestComparison:
                 pairs.append((topic, expected[topic], digest))
         if pairs:
             self._image_ticks.add(tick)
-        self._compare(tick, found.stamp_ns, pairs)
+        self._compare(tick, digests.stamp_ns, pairs)
 
     def _compare(self, tick: Tick, stamp_ns: int, pairs: Iterable[tuple[str, int | None, int | None]]) -> None:
-        """Counts differences; keeps the earliest tick with one, and all topics that differ at it."""
+        """Counts differences; stores the earliest tick with a difference, and the topics that differ at it."""
         differing = []
         for topic, before, now in pairs:
             self._compared[topic] += 1
@@ -218,11 +218,11 @@ class DigestComparison:
 def _previous_ticks(images: Mapping[Tick, Mapping[str, int]]) -> dict[tuple[Tick, str], Tick]:
     """Returns the tick of the previous image for each image of optical flow."""
     latest: dict[str, Tick] = {}
-    found: dict[tuple[Tick, str], Tick] = {}
+    previous: dict[tuple[Tick, str], Tick] = {}
     for tick in sorted(images):
         for topic in images[tick]:
             if topic.endswith(_FLOW_TOPIC):
                 if topic in latest:
-                    found[tick, topic] = latest[topic]
+                    previous[tick, topic] = latest[topic]
                 latest[topic] = tick
-    return found
+    return previous

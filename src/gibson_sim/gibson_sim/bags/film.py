@@ -18,7 +18,7 @@ from gibson_sim.picture_files import SUFFIXES, write_picture
 from gibson_sim.types import NS_PER_S
 
 _GAP_PX = 4
-"""White space between the images of a strip, pixels."""
+"""White gap between the images of a strip, pixels."""
 _VIEWS = "/view_"
 """Prefix of the topics of views."""
 
@@ -28,7 +28,7 @@ def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
 
     Args:
         reader: the bag.
-        wanted: topics, or names of cameras, which stand for their colour images; none = all colour images, those of views last.
+        wanted: topics, or names of cameras for their colour images; empty = all colour images, those of views last.
 
     Raises:
         RecordError: a topic does not exist.
@@ -38,8 +38,8 @@ def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
         topics = [_topic_of(name, infos) for name in wanted]
         unknown = [name for name, topic in zip(wanted, topics, strict=True) if topic not in infos]
         if unknown:
-            there = ", ".join(sorted(image_topics(reader))) or "none"
-            raise RecordError(f"bag {reader.folder} has no images on {', '.join(unknown)}; it has them on: {there}")
+            available = ", ".join(sorted(image_topics(reader))) or "none"
+            raise RecordError(f"bag {reader.folder} has no images on {', '.join(unknown)}; it has them on: {available}")
         return topics
     colours = [name for name in sorted(image_topics(reader)) if raw_image(reader.first(name)).encoding in COLOUR_ENCODINGS]
     if not colours:
@@ -48,7 +48,7 @@ def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
 
 
 def _topic_of(name: str, infos: Mapping[str, TopicInfo]) -> str:
-    """Returns the topic that a user named, or that of the colour images of a camera; the raw one if it does not exist."""
+    """Returns the requested topic, or that of the colour images of a camera; the name of the raw topic if none exists."""
     raw = f"/{name.strip('/')}/image_raw"
     known = (name, *(name + suffix for suffix in IMAGE_SUFFIXES), raw, *(raw + suffix for suffix in IMAGE_SUFFIXES))
     return next((topic for topic in known if topic in infos), raw)
@@ -64,22 +64,22 @@ def write_film_strip(
     begin: float = 0.0,
     end: float = 0.0,
 ) -> Path:
-    """Writes a film strip: one row a topic, one column a moment, evenly spaced from the first to the last, with the time below.
+    """Writes a film strip: one row per topic, one column per time, evenly spaced from the first to the last, with the time below.
 
     Args:
         bag: folder of the bag.
         path: PNG or JPEG file to write; its folder is created if it does not exist.
         topics: as ``film_topics`` takes them.
-        columns: number of moments; fewer if the bag has fewer at which every topic has an image.
-        width: of one image, pixels.
-        begin: first moment, seconds after the start of the bag.
-        end: last moment, seconds after the start of the bag; 0 = the end of the bag.
+        columns: number of times; fewer if the bag has fewer times at which every topic has an image.
+        width: width of one image, pixels.
+        begin: first time, seconds after the start of the bag.
+        end: last time, seconds after the start of the bag; 0 = the end of the bag.
 
     Returns:
         The path.
 
     Raises:
-        RecordError: the bag lacks the images.
+        RecordError: the bag does not have the images.
         WriteError: the file cannot be written.
     """
     _check(columns, width)
@@ -111,17 +111,17 @@ def write_film(
     fps: float | None = None,
     speed: float = 1.0,
 ) -> Path:
-    """Writes an H.264 video (MP4) of stacked topics, at the moments at which all have an image, timed by their stamps.
+    """Writes an H.264 video (MP4) of stacked topics, at the times at which all have an image, timed by their stamps.
 
     Args:
         bag: folder of the bag.
         path: file to write; its folder is created if it does not exist.
         topics: as ``film_topics`` takes them.
-        width: of the video, pixels.
-        begin: first moment, seconds after the start of the bag.
-        end: last moment, seconds after the start of the bag; 0 = the end of the bag.
-        fps: frames a second; None = by the stamps, 60 at most.
-        speed: seconds of simulation shown in a second of video.
+        width: width of the video, pixels.
+        begin: first time, seconds after the start of the bag.
+        end: last time, seconds after the start of the bag; 0 = the end of the bag.
+        fps: frames per second; None = derived from the stamps, 60 at most.
+        speed: seconds of simulation per second of video.
 
     Returns:
         The path.

@@ -9,12 +9,12 @@ from gibson_sim.errors import RecordError
 
 MIB = 1024 * 1024
 EMERGENCY_BYTES = 8 * MIB
-"""Size of the file that is deleted when the disk is full: room for messages in memory, the index and the metadata."""
+"""Size of the file that is deleted when the disk is full, to free space for messages in memory, the index and the metadata, bytes."""
 _FILES = (".mcap", ".db3")
 
 
 class DiskFullError(RecordError):
-    """The disk is full, or nearly so. The bag was closed and holds everything up to here."""
+    """The disk is full or nearly full. The bag was closed and contains all earlier messages."""
 
 
 def check_bag(folder: str | Path) -> None:
@@ -34,15 +34,15 @@ def check_room(folder: Path, reserve_bytes: int) -> None:
     """Checks that the disk has room for a new bag.
 
     Args:
-        folder: of the bag; it need not exist.
+        folder: folder of the bag; need not exist.
         reserve_bytes: free space below which recording ends.
 
     Raises:
-        DiskFullError: the disk has less free space already.
+        DiskFullError: the disk has less free space.
         OSError: the free space is unknown.
     """
-    there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
-    free, needed = shutil.disk_usage(there).free, reserve_bytes + EMERGENCY_BYTES
+    existing_folder = next(candidate for candidate in (folder, *folder.absolute().parents) if candidate.is_dir())
+    free, needed = shutil.disk_usage(existing_folder).free, reserve_bytes + EMERGENCY_BYTES
     if free < needed:
         raise DiskFullError(
             f"the disk of {folder} has {free / MIB:.0f} MiB left, recording needs more than {needed / MIB:.0f} MiB: make room, choose "

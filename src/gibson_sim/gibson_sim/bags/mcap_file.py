@@ -1,6 +1,6 @@
 """Writes mcap files chunk by chunk, without copying large messages, and the summary at their end. Records: https://mcap.dev/spec.
 
-Large messages, images above all, have chunks of their own: a reader of the other topics need not read gigabytes of images.
+Large messages, mostly images, are in separate chunks, so that a reader of other topics need not read gigabytes of images.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ _INDEX_ENTRY = struct.Struct("<QQ")
 LARGE_BYTES = 32 * 1024
 """Size from which a message is written from its own memory, into chunks of large messages; smaller ones are copied into a buffer."""
 _SPAN_NS = 1_000_000_000
-"""Longest time that small messages wait in memory while large ones are written, nanoseconds of log time."""
+"""Maximum time for which small messages stay in memory while large ones are written, nanoseconds of log time."""
 
 
 class McapFile:
-    """An mcap file that is being written. A written chunk stays readable, whatever happens to this process."""
+    """An mcap file that is being written. Written chunks remain readable after a crash of this process."""
 
     def __init__(self, path: Path, emergency: Path, *, chunk_bytes: int, compression: Compression) -> None:
         """Creates the file.
 
         Raises:
-            OSError: it cannot be created.
+            OSError: the file cannot be created.
         """
         self._path = path
         self._sink = Sink(path, emergency)
@@ -76,11 +76,11 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Bytes on disk and in memory."""
+        """Size on disk and in memory, bytes."""
         return self._sink.position + self._small.size + self._large.size
 
     def add_topic(self, topic: TopicRecord, definition: str) -> None:
-        """Declares a topic, with the definition of its type and of all nested types. Written at once: either chunk may come next."""
+        """Declares a topic, with the definition of its type and of all nested types. Written immediately, since either chunk may be written next."""
         builder = RecordBuilder()
         schema_id = self._schemas.get(topic.type_name)
         if schema_id is None:
@@ -213,7 +213,7 @@ class ChunkEntry:
 
     index: ChunkIndex
     counts: Counter[int]
-    """Messages by channel."""
+    """Channel -> number of messages."""
     end: int
     """Offset in the file after the chunk and its message indices."""
 
@@ -228,7 +228,7 @@ class DataSection:
     metadata: list[MetadataIndex] = field(default_factory=list)
 
     def times_and_counts(self) -> tuple[int, int, Counter[int]]:
-        """Returns the times of the first and the last message, 0 if there is none, and the number of messages by channel."""
+        """Returns the times of the first and the last message, 0 without messages, and channel -> number of messages."""
         counts: Counter[int] = Counter()
         for chunk in self.chunks:
             counts.update(chunk.counts)
@@ -238,7 +238,7 @@ class DataSection:
 
 
 def end_of_file(section: DataSection, position: int, information: Mapping[str, Any]) -> bytes:
-    """Returns what follows the last chunk and its message indices: metadata, summary and footer.
+    """Returns the end of the file, after the last chunk and its message indices: metadata, summary and footer.
 
     Args:
         section: the data section before it.
@@ -279,7 +279,7 @@ def end_of_file(section: DataSection, position: int, information: Mapping[str, A
     offset_start = position + builder.count
     for offset in offsets:
         offset.write(builder)
-    # A checksum of 0 means: none.
+    # A checksum of 0 = no checksum.
     Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=0).write(builder)
     builder.write(MCAP0_MAGIC)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
@@ -289,7 +289,7 @@ def message_index(channel: int, messages: list[tuple[int, int]]) -> bytes:
     """Returns the index record of one channel in a chunk.
 
     Args:
-        channel: its id.
+        channel: id of the channel.
         messages: (log time, offset in the chunk) of each message.
     """
     length = len(messages) * _INDEX_ENTRY.size
@@ -304,12 +304,12 @@ class Sink:
         """Creates the file.
 
         Raises:
-            OSError: it exists already or cannot be created.
+            OSError: the file already exists or cannot be created.
         """
         self._emergency = emergency
         self._file: BinaryIO | None = path.open("xb", buffering=0)
         self.position = 0
-        """Bytes written."""
+        """Number of bytes written."""
         self.full = False
         """Whether the disk was full: later writes use the emergency space."""
 
@@ -317,7 +317,7 @@ class Sink:
         """Writes all of ``data``.
 
         Raises:
-            OSError: the disk is full and the emergency space is used up, or the write fails otherwise.
+            OSError: the disk is full and the emergency space is exhausted, or the write fails for another reason.
         """
         view = memoryview(data)
         while view:
@@ -333,7 +333,7 @@ class Sink:
             view = view[written:]
 
     def close(self) -> None:
-        """Closes the file; a second time does nothing."""
+        """Closes the file; a second call does nothing."""
         file, self._file = self._file, None
         if file is not None:
             file.close()

@@ -21,16 +21,16 @@ FOREVER_NS = 2**63 - 1
 
 
 class Profile(Protocol):
-    """Anything with the attributes of ``rclpy.qos.QoSProfile``."""
+    """An object with the attributes of ``rclpy.qos.QoSProfile``."""
 
     @property
     def depth(self) -> int:
-        """Number of messages kept."""
+        """Queue depth, messages."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicQos:
-    """Quality of service of a topic in rosbag2's terms; ``ros2 bag play`` publishes the topic with it."""
+    """Quality of service of a topic, as rosbag2 stores it; ``ros2 bag play`` publishes the topic with it."""
 
     history: str = "keep_last"
     depth: int = 10
@@ -50,7 +50,7 @@ class TopicQos:
 
     @classmethod
     def of(cls, profile: TopicQos | Profile | None) -> TopicQos:
-        """Converts ``rclpy.qos.QoSProfile``, or any object with its attributes; None = the default."""
+        """Converts an ``rclpy.qos.QoSProfile``, or an object with its attributes; None = the default."""
         if profile is None:
             return cls()
         if isinstance(profile, cls):
@@ -79,7 +79,7 @@ class TopicQos:
 
 @dataclass(frozen=True, slots=True)
 class TopicRecord:
-    """One topic as listed in the metadata."""
+    """A topic as listed in the metadata."""
 
     name: str
     type_name: str
@@ -96,13 +96,13 @@ def dump_qos(profiles: Sequence[dict[str, Any]]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
-    """One storage file of a bag as listed in the metadata."""
+    """A storage file of a bag as listed in the metadata."""
 
     name: str
     start_ns: int = 0
-    """Log time of the first message, nanoseconds; 0 if there is none."""
+    """Log time of the first message, nanoseconds; 0 for an empty file."""
     end_ns: int = 0
-    """Log time of the last message, nanoseconds; 0 if there is none."""
+    """Log time of the last message, nanoseconds; 0 for an empty file."""
     count: int = 0
 
 
@@ -110,7 +110,7 @@ def bag_information(topics: Sequence[TopicRecord], files: Sequence[FileRecord], 
     """Returns the content of ``rosbag2_bagfile_information``.
 
     Args:
-        topics: all topics, also those without a message.
+        topics: all topics, including those without messages.
         files: the storage files in order.
         storage: ``mcap`` or ``sqlite3``.
     """
@@ -188,7 +188,7 @@ def write_metadata(folder: Path, information: dict[str, Any]) -> None:
 
 
 class _PlainDumper(yaml.SafeDumper):
-    """Writes no anchors and aliases, so that no reader must follow them."""
+    """YAML dumper without anchors and aliases, which some readers do not support."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True

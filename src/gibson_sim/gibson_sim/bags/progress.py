@@ -9,18 +9,18 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 Advance = Callable[[float], None]
-"""Receives the part of the work that is done, 0 to 1."""
+"""Callable that receives the completed fraction of the work, 0 to 1."""
 _STEP = 0.001
-"""Smallest progress that redraws the bar: drawing takes longer than many a message."""
+"""Minimum progress that redraws the bar: drawing takes longer than processing many messages."""
 
 
 def no_progress(part: float) -> None:
-    """Shows nothing."""
+    """Ignores the progress."""
 
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Advance]:
-    """Shows a bar on stderr, if that is a terminal, while the block runs; yields the callable that advances it."""
+    """Shows a bar on stderr during the block, if stderr is a terminal; yields the callable that advances it."""
     console = Console(stderr=True)
     columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:

@@ -1,6 +1,6 @@
 """Reads bags: topics, messages in the order of their log time, stamps, images as arrays.
 
-A thin layer over `rosbags`, which needs no ROS: message types come from the definitions in the bag. Must not import rclpy.
+A thin layer over `rosbags`, which does not need ROS: message types come from the definitions in the bag. Must not import rclpy.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gibson_sim.quoting import clipped, quoted
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "mono8")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 _LONGEST_REASON = 300
-"""Longest quotation of a parser's error, characters."""
+"""Maximum length of a quoted parser error, characters."""
 _ENCODINGS: dict[str, tuple[str, int]] = {
     "rgb8": ("u1", 3),
     "bgr8": ("u1", 3),
@@ -72,7 +72,7 @@ class BagReader:
             # Bags without definitions (sqlite3 before Jazzy) are read with the types of Jazzy.
             reader = AnyReader([self.folder], default_typestore=get_typestore(Stores.ROS2_JAZZY))
             reader.open()
-        # Damaged bytes make parsers raise anything, MemoryError included.
+        # Damaged bytes can cause any exception in parsers, including MemoryError.
         except Exception as error:
             raise RecordError(
                 f"bag {self.folder} cannot be read ({_reason(error)}); if its recording was cut off, "
@@ -83,7 +83,7 @@ class BagReader:
         if not all(isinstance(topic, str) and isinstance(kind, str) and isinstance(count, int) for topic, kind, count in kinds):
             reader.close()
             raise RecordError(
-                f"bag {self.folder}: metadata.yaml has topics whose names, types or counts are of the wrong kind; "
+                f"bag {self.folder}: metadata.yaml has topics whose names, types or counts are invalid; "
                 f"run `gibson-sim bag repair {self.folder}`"
             )
         self._reader = reader
@@ -106,7 +106,7 @@ class BagReader:
         """Yields (topic, log time in nanoseconds, message) in the order of log time.
 
         Args:
-            topics: only these; None = all.
+            topics: topics to read; None = all.
             start_ns: log time to start at, nanoseconds.
             stop_ns: log time to stop before, nanoseconds.
 
@@ -120,13 +120,13 @@ class BagReader:
     def raw_messages(
         self, topics: Collection[str] | None = None, *, start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[tuple[str, int, bytes]]:
-        """Yields (topic, log time in nanoseconds, CDR bytes): ``messages`` without decoding."""
+        """Yields (topic, log time in nanoseconds, CDR bytes), as ``messages`` without decoding."""
         reader = self._open()
-        chosen = self._connections(topics)
-        if not chosen:
+        connections = self._connections(topics)
+        if not connections:
             return
         try:
-            for connection, log_time, data in reader.messages(chosen, start=start_ns, stop=stop_ns):
+            for connection, log_time, data in reader.messages(connections, start=start_ns, stop=stop_ns):
                 yield connection.topic, log_time, data
         except Exception as error:
             raise RecordError(
@@ -137,7 +137,7 @@ class BagReader:
         """Returns the first message of a topic.
 
         Raises:
-            RecordError: there is none, whatever the index of the bag lists, or it cannot be decoded.
+            RecordError: the topic has no message, even if the index of the bag lists one, or it cannot be decoded.
         """
         for _, _, message in self.messages([topic]):
             return message
@@ -149,7 +149,7 @@ class BagReader:
         """Returns the message: an object with the fields of the ROS message, arrays as numpy arrays.
 
         Raises:
-            RecordError: the bytes are not such a message.
+            RecordError: the bytes are not a message of this type.
         """
         try:
             return self._open().deserialize(data, type_name)
@@ -172,12 +172,12 @@ class BagReader:
 
     @property
     def connections(self) -> list[Connection]:
-        """Connections of `rosbags`, one a topic, with the definition of its type and the offered quality of service."""
+        """Connections of `rosbags`, one per topic, with the definition of its type and the offered quality of service."""
         return list(self._open().connections)
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Log times of the first and the last message, nanoseconds; (0, 0) if there is none."""
+        """Log times of the first and the last message, nanoseconds; (0, 0) for an empty bag."""
         reader = self._open()
         return (reader.start_time, reader.end_time) if reader.message_count else (0, 0)
 
@@ -202,7 +202,7 @@ class BagReader:
 
 
 def _reason(error: Exception) -> str:
-    """Returns the text of a parser's error, which may quote the file, clipped to one line."""
+    """Returns the message of a parser error, which may quote the file, clipped to one line."""
     return clipped(str(error), _LONGEST_REASON) or type(error).__name__
 
 

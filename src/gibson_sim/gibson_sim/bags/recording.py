@@ -1,4 +1,4 @@
-"""Recording: decides which messages are written, to which bag, and at which time. Knows no ROS: a node hands it bytes.
+"""Recording: determines which messages are written, to which bag, and with which log time. Must not import ROS: a node passes it bytes.
 
 The log time of a message is the newest /clock before it, as with `ros2 bag record --use-sim-time`. When /clock runs backwards (the
 simulation was reset or restarted), the bag is closed and the recording continues in another one, ``<bag>_epoch1``.
@@ -27,11 +27,11 @@ from gibson_sim.types import NS_PER_S
 CLOCK = "/clock"
 TF = "tf2_msgs/msg/TFMessage"
 MOST_WAITING = 1000
-"""Messages, beside latched ones, that may wait for the first /clock."""
+"""Maximum number of messages, apart from latched ones, that wait for the first /clock."""
 MOST_EPOCHS = 100
 """Resets of time in one recording, at most: two programs that publish /clock would cause them without end."""
 _MOST_TRANSFORMS = 200
-"""Messages kept of one latched topic of transforms, where each sender adds to what the others sent."""
+"""Number of messages kept of a latched transform topic, whose publishers send different transforms."""
 
 Message = tuple[str, bytes]
 """Topic and CDR bytes."""
@@ -74,9 +74,9 @@ class Recording:
         self.paused = False
         """Whether writing is suspended until ``resume``."""
         self.done = False
-        """Whether the duration has passed or an error has ended the recording."""
+        """Whether the duration has elapsed or an error has ended the recording."""
         self.error = ""
-        """What ended the recording early; empty = nothing."""
+        """Reason for which the recording ended early; empty = none."""
 
     @property
     def keeps_snapshots(self) -> bool:
@@ -87,7 +87,7 @@ class Recording:
         """Declares a topic.
 
         Raises:
-            RecordError: its type is unknown or cannot be recorded; the recording continues without it.
+            RecordError: the type is unknown or cannot be recorded; the recording continues without the topic.
         """
         record = _Topic(type_name, TopicQos.of(profile), latched)
         if self._bag is not None:
@@ -95,17 +95,17 @@ class Recording:
         self._topics[topic] = record
 
     def receive_clock(self, data: bytes) -> None:
-        """Advances time by a message of /clock, which is recorded only if that topic was declared."""
-        now = stamp_ns(data)
-        before, self._now_ns = self._now_ns, now
-        if before is None:
-            self._write_waiting(now)
-        elif now < before:
-            self._begin_epoch(before, now)
+        """Advances time to that of a /clock message, which is recorded only if the topic is declared."""
+        now_ns = stamp_ns(data)
+        previous_ns, self._now_ns = self._now_ns, now_ns
+        if previous_ns is None:
+            self._write_waiting(now_ns)
+        elif now_ns < previous_ns:
+            self._begin_epoch(previous_ns, now_ns)
         elif not self.paused:
-            self._recorded_ns += now - before
+            self._recorded_ns += now_ns - previous_ns
         if CLOCK in self._topics:
-            self._record(CLOCK, data, now)
+            self._record(CLOCK, data, now_ns)
         if self._config.duration and self._recorded_ns >= self._config.duration * NS_PER_S:
             self.done = True
 
@@ -114,19 +114,19 @@ class Recording:
         if self._now_ns is not None:
             self._record(topic, data, self._now_ns)
         elif self._topics[topic].latched or len(self._waiting) < MOST_WAITING:
-            # The middleware may deliver the first /clock after messages that were sent later.
+            # The middleware may deliver the first /clock after messages that were published later.
             self._waiting.append((topic, data))
         else:
             self._unwritten += 1
 
     def pause(self) -> None:
-        """Suspends writing. Latched messages that arrive meanwhile are written on ``resume``."""
+        """Suspends writing. Latched messages that arrive during the pause are written on ``resume``."""
         if not self.paused:
             _log.info("recording is paused")
         self.paused = True
 
     def resume(self) -> None:
-        """Ends a pause."""
+        """Resumes writing."""
         if not self.paused:
             return
         self.paused = False
@@ -136,7 +136,7 @@ class Recording:
             self._store(topic, data, self._now_ns or 0)
 
     def split(self) -> bool:
-        """Continues in the next file of the bag; returns False if there is nothing to split."""
+        """Continues in the next file of the bag; returns False if no bag is being written, or the file is empty."""
         if self._bag is None or self.done:
             return False
         try:
@@ -146,7 +146,7 @@ class Recording:
             return False
 
     def flush(self) -> None:
-        """Hands what was written to the kernel, so that it outlives this process."""
+        """Hands the written messages to the kernel, so that they survive a crash of this process."""
         if self._bag is not None and not self.done:
             try:
                 self._bag.flush()
@@ -154,7 +154,7 @@ class Recording:
                 self._fail(error)
 
     def snapshot(self) -> Path | None:
-        """Writes the messages in memory to a new bag and keeps them; returns the bag, or None if there are none or the write fails."""
+        """Writes the messages in memory to a new bag and keeps them; returns the bag, or None if there are no messages or the write fails."""
         messages = [] if self._memory is None else list(self._memory.with_latched(self._latched))
         if not messages:
             _log.warning(
@@ -186,7 +186,7 @@ class Recording:
             bag.close()
 
     def summary(self) -> dict[str, Any]:
-        """Returns the number of messages and bytes by topic, the bags, and what ended the recording."""
+        """Returns the number of messages and bytes by topic, the bags, and the reason for an early end."""
         return {
             "bag": self._config.output,
             "bags": [str(folder) for folder in self._bags],
@@ -198,7 +198,7 @@ class Recording:
         }
 
     def _record(self, topic: str, data: bytes, now_ns: int) -> None:
-        """Stores one message, or keeps it for the end of a pause if it is latched."""
+        """Stores one message; during a pause, keeps it for the end of the pause if it is latched."""
         record = self._topics[topic]
         if record.latched:
             self._latched.add(topic, record.type_name, now_ns, data)
@@ -234,13 +234,13 @@ class Recording:
         _log.error("recording ends: %s", error)
 
     def _write_waiting(self, now_ns: int) -> None:
-        """Writes the messages that arrived before the first /clock, at its time."""
+        """Writes the messages that arrived before the first /clock, with its time."""
         waiting, self._waiting = self._waiting, []
         for topic, data in waiting:
             self._record(topic, data, now_ns)
 
     def _begin_epoch(self, before_ns: int, now_ns: int) -> None:
-        """Continues in a new bag after time ran backwards, beginning with the latched messages."""
+        """Continues in a new bag after time jumped backwards, beginning with the latched messages."""
         self._epochs += 1
         self._latched.restart(now_ns)
         times = f"{before_ns / NS_PER_S:.3f} s to {now_ns / NS_PER_S:.3f} s"
@@ -304,7 +304,7 @@ def _write_all(bag: BagWriter, messages: Iterable[Stored]) -> None:
 
 
 def report_lines(summary: dict[str, Any]) -> list[str]:
-    """Returns the summary of a recording for a terminal: one line a topic, and the losses."""
+    """Returns the summary of a recording for a terminal: one line per topic, and the losses."""
     counts, sizes = summary["messages"], summary["bytes"]
     lost, late = summary.get("lost", {}), summary.get("message_lost", {})
     width = max((len(topic) for topic in counts), default=0)
@@ -325,11 +325,11 @@ def report_lines(summary: dict[str, Any]) -> list[str]:
 
 
 class SnapshotMemory:
-    """The messages of the last seconds of simulation time, within a limit of memory.
+    """A ring buffer of the messages of the last seconds of simulation time, with a memory limit.
 
     Args:
         span_ns: age beyond which messages are dropped, nanoseconds.
-        most_bytes: limit of all messages together; the oldest are dropped first.
+        most_bytes: memory limit, bytes; the oldest messages are dropped first.
     """
 
     def __init__(self, span_ns: int, most_bytes: int) -> None:
@@ -337,10 +337,10 @@ class SnapshotMemory:
         self._messages: deque[Stored] = deque()
         self._bytes = 0
         self.crowded = False
-        """Whether the memory was ever too small for the span."""
+        """Whether messages were dropped before the end of the span, for lack of memory."""
 
     def add(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Adds a message; stamps (nanoseconds) must not run backwards."""
+        """Adds a message; stamps (nanoseconds) must not decrease."""
         self._messages.append((stamp_ns, topic, data))
         self._bytes += len(data)
         while self._messages[0][0] < stamp_ns - self._span_ns:
@@ -350,7 +350,7 @@ class SnapshotMemory:
             self._drop_oldest()
 
     def with_latched(self, latched: LatchedMessages) -> Iterator[Stored]:
-        """Yields the messages in the order of time; earlier latched messages come at the time of the first one."""
+        """Yields the messages ordered by time; earlier latched messages get the time of the first message."""
         if not self._messages:
             return iter(())
         start = self._messages[0][0]
@@ -367,21 +367,21 @@ class SnapshotMemory:
 
 
 class LatchedMessages:
-    """What a late joiner would receive: the last message of each latched topic, and all messages of transform topics."""
+    """Messages that a late joiner would receive: the last message of each latched topic, and all messages of latched transform topics."""
 
     def __init__(self) -> None:
         self._kept: dict[str, deque[Stored]] = {}
 
     def add(self, topic: str, type_name: str, stamp_ns: int, data: bytes) -> None:
         """Adds a message of a latched topic."""
-        kept = self._kept.setdefault(topic, deque(maxlen=_MOST_TRANSFORMS if type_name == TF else 1))
-        again = next((message for message in kept if message[2] == data), None)
-        if again is not None:
-            kept.remove(again)
-        kept.append((stamp_ns, topic, data))
+        messages = self._kept.setdefault(topic, deque(maxlen=_MOST_TRANSFORMS if type_name == TF else 1))
+        duplicate = next((message for message in messages if message[2] == data), None)
+        if duplicate is not None:
+            messages.remove(duplicate)
+        messages.append((stamp_ns, topic, data))
 
     def restart(self, stamp_ns: int) -> None:
-        """Sets the log time of all messages to that at which time began anew, nanoseconds."""
+        """Sets the log time of all messages to the start of the new epoch, nanoseconds."""
         for topic, kept in self._kept.items():
             self._kept[topic] = deque(((stamp_ns, name, data) for _, name, data in kept), maxlen=kept.maxlen)
 
@@ -391,11 +391,11 @@ class LatchedMessages:
 
 
 class StartGate:
-    """Holds messages back until it is known where the recording starts.
+    """Buffers messages until the start of the recording is determined.
 
-    DDS discovers publishers one by one, over a second and more. While time runs freely, whatever arrives is recorded. In lockstep nothing may
-    be missing: if the simulation was running before the recorder, the bag starts with the first /clock after all publishers are matched, and
-    with the latched messages of before.
+    DDS discovers publishers one by one, over a second or more. While time runs freely, all messages that arrive are recorded. In lockstep no message
+    may be missing: if the simulation was running before the recorder, the bag starts with the first /clock after all publishers are matched, and
+    with the earlier latched messages.
 
     Args:
         is_latched: returns whether a topic is latched.
@@ -407,7 +407,7 @@ class StartGate:
         self._first_ns: int | None = None
         self._discards = self._waits_for_clock = False
         self.is_open = False
-        """Whether the recording has started: nothing is held back any more."""
+        """Whether the recording has started, so that messages are no longer buffered."""
 
     @property
     def has_clock(self) -> bool:
@@ -416,15 +416,15 @@ class StartGate:
 
     @property
     def is_late(self) -> bool:
-        """Whether time was running already when the first /clock arrived."""
+        """Whether time was already running when the first /clock arrived."""
         return bool(self._first_ns)
 
     def open(self) -> None:
-        """Starts with all messages that were held back."""
+        """Starts with all buffered messages."""
         self.is_open = True
 
     def discard(self) -> None:
-        """Discards what has arrived, and what arrives before ``open_at_next_clock``, except latched messages."""
+        """Discards all messages that arrive before ``open_at_next_clock``, including buffered ones, except latched messages."""
         self._discards = True
 
     def open_at_next_clock(self) -> None:
@@ -432,7 +432,7 @@ class StartGate:
         self._discards = self._waits_for_clock = True
 
     def release(self, messages: Iterable[Message]) -> list[Message]:
-        """Adds messages; returns those to record now, held ones first."""
+        """Adds messages; returns the messages to record now, buffered ones first."""
         for topic, data in messages:
             if topic == CLOCK and not self.is_open:
                 self._note_clock(stamp_ns(data))

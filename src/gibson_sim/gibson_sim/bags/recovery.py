@@ -1,8 +1,8 @@
 """Repairs a bag whose writer could not finish: after a crash, a power cut or a full disk.
 
-An mcap file is read from the start, chunk by chunk. What follows the last complete chunk is cut off, damaged chunks before it are left
-out of the index, and index, statistics and footer are rewritten. The log of a database is merged into it. Then ``metadata.yaml`` is
-rewritten for all files. Records of mcap: https://mcap.dev/spec.
+An mcap file is read from the start, chunk by chunk. It is truncated after the last complete chunk, damaged chunks before that are left out
+of the index, and index, statistics and footer are rewritten. The log of a database is merged into it. Then ``metadata.yaml`` is rewritten
+for all files. Records of mcap: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from gibson_sim.errors import RecordError
 
 _FOOTER_BYTES = RECORD.size + 20 + len(MCAP0_MAGIC)
 _KNOWN = frozenset(int(opcode) for opcode in Opcode)
-# What the parsers raise on damaged bytes: struct, text and checksums, absurd lengths, lz4, zstd, mcap.
+# Exceptions of the parsers for damaged bytes: struct, text and checksums, absurd lengths, lz4, zstd, mcap.
 _DAMAGE = (struct.error, ValueError, KeyError, OverflowError, MemoryError, RuntimeError, zstandard.ZstdError, McapError)
 _log = logging.getLogger(__name__)
 
@@ -45,11 +45,11 @@ class Repair:
 
     folder: Path
     files: int
-    """Readable files."""
+    """Number of readable files."""
     messages: int
-    """Readable messages."""
+    """Number of readable messages."""
     cut_bytes: int
-    """Bytes after the last complete chunk that were cut off."""
+    """Number of bytes after the last complete chunk that were cut off."""
     changed: bool = True
 
     def __str__(self) -> str:
@@ -67,7 +67,7 @@ class _Section(DataSection):
     start: int = 0
     """Offset of the end of the records before the first chunk."""
     last_messages: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
-    """(log time, offset in the chunk) of the messages of the last chunk by channel."""
+    """Channel -> (log time, offset in the chunk) of the messages of the last chunk."""
 
     @property
     def end(self) -> int:
@@ -76,10 +76,10 @@ class _Section(DataSection):
 
 
 def repair(folder: str | Path) -> Repair:
-    """Makes a bag readable whose recording was cut off. Leaves a complete bag unchanged; idempotent.
+    """Repairs a bag whose recording was cut off. Leaves a complete bag unchanged; idempotent.
 
     Raises:
-        RecordError: there is no bag, or this program did not write it.
+        RecordError: the bag does not exist, or was not written by this program.
     """
     folder = Path(folder)
     storage, paths = _storage_files(folder)
@@ -89,7 +89,9 @@ def repair(folder: str | Path) -> Repair:
         for path in paths:
             try:
                 # On a full disk, the last file makes room for the metadata as well.
-                contents.append(_repair_file(path, storage, lambda found: _write_metadata(folder, storage, [*contents, found])))
+                contents.append(
+                    _repair_file(path, storage, lambda repaired: _write_metadata(folder, storage, [*contents, repaired]))
+                )
             except EmptyFileError as error:
                 if len(paths) == 1:
                     raise
@@ -107,21 +109,21 @@ def repair(folder: str | Path) -> Repair:
 
 
 def _storage_files(folder: Path) -> tuple[Storage, list[Path]]:
-    """Returns the kind of the storage files of a bag, and the files in order.
+    """Returns the storage format of a bag, and its files in order.
 
     Raises:
-        RecordError: there are none, or two kinds.
+        RecordError: the bag has no storage files, or files of two formats.
     """
-    found: dict[Storage, list[Path]] = {kind: sorted(folder.glob("*" + s), key=_number) for kind, s in SUFFIXES.items()}
-    kinds = [kind for kind, paths in found.items() if paths]
+    paths_of: dict[Storage, list[Path]] = {kind: sorted(folder.glob("*" + s), key=_number) for kind, s in SUFFIXES.items()}
+    kinds = [kind for kind, paths in paths_of.items() if paths]
     if len(kinds) != 1:
         what = "files of both mcap and sqlite3" if kinds else "no mcap or db3 file"
         raise RecordError(f"{folder} holds {what}, must be the folder of one bag; give the folder that was recorded")
-    return kinds[0], found[kinds[0]]
+    return kinds[0], paths_of[kinds[0]]
 
 
 def _number(path: Path) -> tuple[int, str]:
-    """Returns a sort key that puts ``bag_10`` after ``bag_9``."""
+    """Returns a sort key that sorts ``bag_10`` after ``bag_9``."""
     match = re.search(r"_(\d+)$", path.stem)
     return int(match[1]) if match else 0, path.name
 
@@ -144,7 +146,7 @@ def _write_metadata(folder: Path, storage: Storage, contents: list[FileContents]
 
 
 def _repair_file(path: Path, storage: Storage, write_bag_metadata: Callable[[FileContents], None]) -> FileContents:
-    """Makes one file readable and returns its content."""
+    """Repairs one file and returns its content."""
     if storage == "sqlite3":
         return repair_database(path)
     return _contents_if_whole(path) or _rebuild(path, write_bag_metadata)
@@ -153,10 +155,10 @@ def _repair_file(path: Path, storage: Storage, write_bag_metadata: Callable[[Fil
 def _rebuild(path: Path, write_bag_metadata: Callable[[FileContents], None]) -> FileContents:
     """Rewrites the end of an mcap file, and the metadata of the bag.
 
-    If the disk has no room even for these, chunks are dropped from the end until it has.
+    If the disk is too full even for these, chunks are dropped from the end until they fit.
 
     Raises:
-        RecordError: the file does not begin like a bag.
+        RecordError: the file does not begin like an mcap file.
         OSError: the file cannot be written.
     """
     size = path.stat().st_size
@@ -174,10 +176,10 @@ def _rebuild(path: Path, write_bag_metadata: Callable[[FileContents], None]) -> 
             except OSError as error:
                 if not section.chunks:
                     raise
-                lost = section.chunks.pop()
+                dropped = section.chunks.pop()
                 section.last_messages = {}
-                cut += lost.end - lost.index.chunk_start_offset
-                messages = sum(lost.counts.values())
+                cut += dropped.end - dropped.index.chunk_start_offset
+                messages = sum(dropped.counts.values())
                 _log.warning("no room for the end of %s (%s): %d messages are given up", path, error.strerror, messages)
 
 
@@ -195,7 +197,7 @@ def _topic(channel: Channel, schemas: dict[int, Schema], counts: Counter[int]) -
 
 
 def _contents_if_whole(path: Path) -> FileContents | None:
-    """Returns the content by the summary of a file; None if its end is missing or damaged."""
+    """Returns the content according to the summary of a file; None if its end is missing or damaged."""
     try:
         return _contents_by_summary(path)
     except _DAMAGE:
@@ -203,7 +205,7 @@ def _contents_if_whole(path: Path) -> FileContents | None:
 
 
 def _contents_by_summary(path: Path) -> FileContents | None:
-    """Returns the content by the summary of a file; None if its end is missing, raises if the summary is damaged."""
+    """Returns the content according to the summary of a file; None if its end is missing; raises if the summary is damaged."""
     size = path.stat().st_size
     if size < _FOOTER_BYTES + len(MCAP0_MAGIC):
         return None
@@ -231,7 +233,7 @@ def _contents_by_summary(path: Path) -> FileContents | None:
 
 
 def _scan(file: BinaryIO, size: int) -> _Section:
-    """Reads the data section up to its end or to the first record that is truncated or damaged."""
+    """Reads the data section up to its end or to the first truncated or damaged record."""
     section = _Section()
     file.seek(0)
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
@@ -258,7 +260,7 @@ def _scan(file: BinaryIO, size: int) -> _Section:
 
 
 def _add_record(section: _Section, opcode: int, length: int, position: int, file: BinaryIO) -> None:
-    """Adds one record to the section."""
+    """Adds a record to the section."""
     end = position + RECORD.size + length
     if opcode == Opcode.CHUNK:
         section.chunks.append(_read_chunk(section, file.read(length), position))
@@ -271,7 +273,7 @@ def _add_record(section: _Section, opcode: int, length: int, position: int, file
     elif opcode == Opcode.METADATA:
         name = Metadata.read(ReadDataStream(BytesIO(file.read(length)))).name
         section.metadata.append(MetadataIndex(offset=position, length=RECORD.size + length, name=name))
-        # Metadata before the first chunk stays; metadata after the last chunk is rewritten.
+        # Metadata before the first chunk is kept; metadata after the last chunk is rewritten.
         section.start = section.start if section.chunks else end
     elif opcode == Opcode.HEADER:
         Header.read(ReadDataStream(BytesIO(file.read(length))))
@@ -334,14 +336,14 @@ def _read_chunk(section: _Section, payload: bytes, position: int) -> ChunkEntry:
     return ChunkEntry(index, counts, position + RECORD.size + len(payload))
 
 
-def _finish(file: FileIO, section: _Section, found: FileContents) -> None:
-    """Truncates the file after its last complete chunk and writes what follows."""
+def _finish(file: FileIO, section: _Section, contents: FileContents) -> None:
+    """Truncates the file after its last complete chunk and writes the end of the file."""
     file.seek(section.end)
     file.truncate()
     end = bytearray()
     if section.chunks:
         end += _missing_indices(section.chunks[-1], section.last_messages)
-    end += end_of_file(section, section.end + len(end), bag_information(found.topics, [found.record]))
+    end += end_of_file(section, section.end + len(end), bag_information(contents.topics, [contents.record]))
     rest = memoryview(end)
     while rest:
         rest = rest[file.write(rest) :]
@@ -349,7 +351,7 @@ def _finish(file: FileIO, section: _Section, found: FileContents) -> None:
 
 
 def _missing_indices(chunk: ChunkEntry, messages: dict[int, list[tuple[int, int]]]) -> bytes:
-    """Returns the message indices of the last chunk that had not reached the disk, and adds them to the chunk's index."""
+    """Returns the message indices of the last chunk that are missing in the file, and adds them to the chunk's index."""
     added = bytearray()
     for channel, entries in messages.items():
         if chunk.index.message_index_offsets.get(channel, chunk.end) >= chunk.end:

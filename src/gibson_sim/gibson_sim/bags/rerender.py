@@ -1,6 +1,6 @@
-"""Plans the drawing of a recorded run: the topics to read and to copy, the states to draw, and the cameras due at each. Pure.
+"""Plans the rendering of a recorded run: the topics to read and to copy, the states to render, and the cameras due at each. Pure.
 
-``gibson_sim.ros.recording.render_bag`` draws and writes.
+``gibson_sim.ros.recording.render_bag`` renders and writes.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _IMAGE_TYPES = (
     "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo", "gibson_msgs/msg/LabelInfo",
     "vision_msgs/msg/LabelInfo", "gibson_msgs/msg/TickDigest",
 )  # fmt: skip
-"""Types of images, of what describes them, and of what is computed from them."""
+"""Types of images, of their descriptions, and of data derived from them."""
 _CLOUD_OF_DEPTH = "/depth/points"
 _STATES_TIMED = 20
-"""States from which their period is measured."""
+"""Number of states from which their period is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def scene_topics(bag: BagReader) -> SceneTopics:
     """Returns the topics of the scene and of its states.
 
     Raises:
-        RecordError: the bag lacks one of them; says what to record.
+        RecordError: the bag does not have one of them; the message names the topics to record.
     """
     found: list[str] = []
     for type_name, usual in ((SCENE_TYPE, "/scene"), (STATE_TYPE, "/scene_state")):
@@ -67,7 +67,7 @@ def topics_to_copy(infos: Mapping[str, TopicInfo], copy: str, own: SceneTopics) 
 
     Args:
         infos: topics of the bag.
-        copy: ``auto`` = all but images and what is computed from them, ``none``, or names separated by commas.
+        copy: ``auto`` = all but images and topics derived from them, ``none``, or names separated by commas.
         own: topics that are rewritten, not copied.
 
     Raises:
@@ -89,17 +89,17 @@ def _is_of_pictures(info: TopicInfo) -> bool:
 
 
 def state_period_ns(bag: BagReader, topic: str) -> int:
-    """Returns the time between states, nanoseconds, measured at the first ones."""
+    """Returns the period of the states, nanoseconds, measured from the first states."""
     stamps = [stamp_ns(data) for _, _, data in islice(bag.raw_messages([topic]), _STATES_TIMED)]
     return round(nominal_period_ns(np.array(stamps, dtype=np.int64)))
 
 
 class CameraSchedule:
-    """Decides which cameras are due at each state.
+    """Determines the cameras that are due at each state.
 
     Args:
-        period_ns: time between recorded states, nanoseconds.
-        interpolate: whether to interpolate states at exactly the times at which cameras are due.
+        period_ns: period of the recorded states, nanoseconds.
+        interpolate: whether to interpolate states at the exact times at which cameras are due.
     """
 
     def __init__(self, period_ns: int, *, interpolate: bool = False) -> None:
@@ -109,12 +109,12 @@ class CameraSchedule:
     def moments(
         self, state: SceneState, cameras: Sequence[CameraSpec], recorded: Sequence[int] | None = None
     ) -> Iterator[tuple[SceneState, tuple[int, ...]]]:
-        """Yields states with the indices of the cameras due at each; the last is ``state``, whether one is due or not.
+        """Yields states with the indices of the cameras due at each; the last is ``state``, even if no camera is due.
 
         Args:
-            state: the next recorded one.
-            cameras: of its scene.
-            recorded: indices of the cameras that were due at it; None = by their rates.
+            state: the next recorded state.
+            cameras: cameras of its scene.
+            recorded: indices of the cameras that were due at the state; None = determined by their rates.
         """
         before, self._before = self._before, state
         follows = before is not None and before.links == state.links and before.revision == state.revision

@@ -1,4 +1,4 @@
-"""Writes files of rosbag2's storage ``sqlite3``, schema 4, in transactions, and repairs those whose writer was killed."""
+"""Writes files of rosbag2's storage ``sqlite3``, schema 4, in transactions, and repairs files whose writer was killed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.bags.storage import EmptyFileError, FileContents
 from gibson_sim.errors import RecordError
 
 TRANSACTION_BYTES = 2 * MIB
-"""Messages in memory, at most. Twice as much must fit where the emergency file was: once in the log, once in the database."""
+"""Maximum size of the messages in memory, bytes. Twice this size must fit into the emergency space: once in the log, once in the database."""
 _SCHEMA = f"""
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
 CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
@@ -34,13 +34,13 @@ _INSERT_METADATA = "INSERT INTO metadata (metadata_version, metadata) VALUES (?,
 
 
 class SqliteFile:
-    """A database that is being written. Committed messages outlive this process; the schema has no publish time."""
+    """A database that is being written. Committed messages survive a crash of this process; the schema has no publish time."""
 
     def __init__(self, path: Path, emergency: Path) -> None:
         """Creates the database.
 
         Raises:
-            OSError: it cannot be created.
+            OSError: the database cannot be created.
         """
         self._path, self._emergency = path, emergency
         self._full = False
@@ -72,7 +72,7 @@ class SqliteFile:
 
     @property
     def size(self) -> int:
-        """Bytes of all messages, a little less than the size of the file."""
+        """Total size of all messages, slightly less than the size of the file, bytes."""
         return self._size
 
     def add_topic(self, topic: TopicRecord, definition: str) -> None:
@@ -151,7 +151,7 @@ class SqliteFile:
 
 
 def repair_database(path: Path) -> FileContents:
-    """Merges the log of a database into it, so that a reader needs no log; returns its readable content.
+    """Merges the write-ahead log of a database into it, so that a reader does not need the log; returns its readable content.
 
     Raises:
         RecordError: the file is not the database of a bag.

@@ -1,4 +1,4 @@
-"""Reads stamps from CDR bytes and finds the period of a series of stamps. Needs no library that reads bags."""
+"""Reads stamps from CDR bytes and determines the period of a series of stamps. Independent of the libraries that read bags."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def stamp_ns(data: bytes, at: int = 4) -> int:
         at: offset of the stamp; 4 if the type begins with a Header or a Time.
 
     Raises:
-        RecordError: the message ends before its stamp does.
+        RecordError: the message is shorter than its stamp requires.
     """
     if len(data) < at + _STAMP_BYTES:
         raise RecordError(
@@ -39,7 +39,7 @@ def header_stamp_ns(stamp: Any) -> int:
 
 
 def nominal_period_ns(stamps: NDArray[np.int64]) -> float:
-    """Returns the period of increasing stamps (N,), nanoseconds, without gaps; 0.0 if there are fewer than two."""
+    """Returns the period of increasing stamps (N,), nanoseconds, robust against gaps; 0.0 for fewer than two stamps."""
     steps = np.diff(stamps)
     steps = steps[steps > 0]
     if not len(steps):

@@ -1,4 +1,4 @@
-"""The interface of both kinds of storage file, mcap and sqlite3, for writing and repairing."""
+"""Common interface of the storage formats, mcap and sqlite3, for writing and repairing."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ class FileContents:
 
     path: Path
     start_ns: int
-    """Log time of the first message, nanoseconds; 0 if there is none."""
+    """Log time of the first message, nanoseconds; 0 for an empty file."""
     end_ns: int
-    """Log time of the last message, nanoseconds; 0 if there is none."""
+    """Log time of the last message, nanoseconds; 0 for an empty file."""
     topics: tuple[TopicRecord, ...]
-    """With the number of messages in this file."""
+    """Topics, with the number of messages in this file."""
     cut_bytes: int = 0
-    """Bytes of a damaged end that were cut off."""
+    """Number of bytes of a damaged end that were cut off."""
     whole: bool = True
-    """Whether the file was complete already and was not changed."""
+    """Whether the file was already complete and was not changed."""
 
     @property
     def count(self) -> int:
@@ -50,12 +50,12 @@ class FileContents:
 
 @dataclass(slots=True)
 class Tally:
-    """Times and counts of the messages written to one file."""
+    """Time range and counts of the messages written to one file."""
 
     start_ns: int = 0
     end_ns: int = 0
     counts: Counter[str] = field(default_factory=Counter)
-    """Number of messages by topic."""
+    """Topic -> number of messages."""
     count: int = 0
     """Number of all messages."""
 
@@ -69,7 +69,7 @@ class Tally:
 
 
 class StorageFile(Protocol):
-    """One file of a bag that is being written. Disk errors are raised as ``OSError``."""
+    """A storage file that is being written. Disk errors are raised as ``OSError``."""
 
     @property
     def path(self) -> Path:
@@ -81,7 +81,7 @@ class StorageFile(Protocol):
 
     @property
     def size(self) -> int:
-        """Bytes on disk and in memory."""
+        """Size on disk and in memory, bytes."""
 
     def add_topic(self, topic: TopicRecord, definition: str) -> None:
         """Declares a topic, with the definition of its type and of all nested types."""
@@ -93,7 +93,7 @@ class StorageFile(Protocol):
         """Hands all messages in memory to the kernel, so that they outlive this process."""
 
     def finish(self, information: Mapping[str, Any]) -> None:
-        """Writes what follows the messages and closes the file; ``information`` is the metadata of a bag of this file alone."""
+        """Writes the end of the file, after the messages, and closes it; ``information``: metadata of a bag of only this file."""
 
     def rescue(self) -> None:
-        """Closes the file in any state, after a write that failed for good. Never raises ``OSError``."""
+        """Closes the file in any state, after an unrecoverable write error. Never raises ``OSError``."""

@@ -1,4 +1,4 @@
-"""A video and a contact sheet from the images of a bag: colour, and depth in false colours beside it."""
+"""Writes a video and a contact sheet from the images of a bag: colour, with depth in false colours beside it."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from gibson_sim.types import NS_PER_S
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 DEPTH_RANGE_M = 8.0
-"""Depth from which on the coldest colour is shown, metres; 0 m has the warmest."""
+"""Depth from which the coldest colour is shown, metres; 0 m has the warmest."""
 MOST_FRAMES = 5_000_000
-"""Limit of the frames of a video; about a day at 60 Hz."""
+"""Maximum number of frames of a video; about a day at 60 Hz."""
 MAX_FPS = 60.0
-"""Limit of the frame rate that follows from the stamps, Hz."""
+"""Maximum of a frame rate that is derived from the stamps, Hz."""
 
 Bgr = NDArray[np.uint8]
 
@@ -36,8 +36,8 @@ def colourise_depth(depth_m: NDArray[np.floating[Any]], far_m: float = DEPTH_RAN
     """Returns depth in false colours, (H, W, 3) uint8 BGR: red is near, blue is ``far_m`` and beyond, black is no depth.
 
     Args:
-        depth_m: (H, W), metres; infinite, NaN and 0 mean no depth.
-        far_m: fixed end of the scale, metres, so that colours mean the same in all images.
+        depth_m: (H, W), metres; infinite, NaN and 0 = no depth.
+        far_m: fixed end of the colour scale, metres, so that it is the same in all images.
     """
     something = np.isfinite(depth_m) & (depth_m > 0)
     near = 1.0 - np.clip(np.where(something, depth_m, 0.0) / far_m, 0.0, 1.0)
@@ -80,8 +80,8 @@ def write_video(
         bag: folder of the bag.
         path: file to write; its folder is created if it does not exist.
         topics: image topics, shown side by side; the stamps of the first define the frames. None = the first colour camera and its depth.
-        fps: frames a second of the video; None = by the stamps, 60 at most.
-        speed: seconds of simulation shown in a second of video.
+        fps: frames per second of the video; None = derived from the stamps, 60 at most.
+        speed: seconds of simulation per second of video.
 
     Returns:
         The path.
@@ -171,8 +171,8 @@ class Panels:
         """Returns the indices, increasing, of the frames at which every topic has an image.
 
         Args:
-            begin: first moment, seconds after the start of the bag.
-            end: last moment, seconds after the start of the bag; 0 = the end of the bag.
+            begin: first time, seconds after the start of the bag.
+            end: last time, seconds after the start of the bag; 0 = the end of the bag.
         """
         first_ns = self._reader.span_ns[0]
         late = first_ns + (round(end * NS_PER_S) if end else 2**62)
@@ -209,7 +209,7 @@ class Panels:
             if part is None:
                 part = np.zeros(self._sizes.get(topic, first.shape), dtype=np.uint8)
             if part.shape[:2] != (height, width):
-                # Depth of another resolution: nearest neighbour, so that no false colour appears that stands for no depth.
+                # Depth of another resolution: nearest neighbour, since interpolated false colours would be wrong depths.
                 part = np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
             parts.append(part)
         return np.vstack(parts) if stacked else np.hstack(parts)
@@ -232,9 +232,9 @@ def _default_topics(reader: BagReader) -> list[str]:
 
 
 def image_topics(reader: BagReader) -> list[str]:
-    """Returns the topics of a bag that have images, by name, each image once: raw if the bag has both forms."""
-    there = [name for name, info in reader.topics().items() if info.type_name in IMAGE_TYPES and info.count]
-    return [name for name in there if base_topic(name) == name or base_topic(name) not in there]
+    """Returns the image topics of a bag, sorted by name, each image once: raw if the bag has both raw and compressed images."""
+    topics = [name for name, info in reader.topics().items() if info.type_name in IMAGE_TYPES and info.count]
+    return [name for name in topics if base_topic(name) == name or base_topic(name) not in topics]
 
 
 def _camera(topic: str) -> str:
@@ -244,10 +244,10 @@ def _camera(topic: str) -> str:
 
 
 def repeats_of(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
-    """Returns the number of video frames that show each image (N,): every frame shows the image nearest to its time.
+    """Returns the number of video frames of each image, (N,): every frame shows the image nearest in time.
 
     Raises:
-        RecordError: there would be more than ``MOST_FRAMES``.
+        RecordError: the video would have more than ``MOST_FRAMES`` frames.
     """
     seconds = (stamps[-1] - stamps[0]) / NS_PER_S
     if (stamps[-1] - stamps[0]) / step_ns > MOST_FRAMES:
@@ -263,7 +263,7 @@ def repeats_of(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
 
 
 class _Odometry:
-    """The odometry of a bag, looked up by time; empty if there is none."""
+    """The odometry of a bag, looked up by time; empty if the bag has none."""
 
     def __init__(self, reader: BagReader) -> None:
         names = sorted(
@@ -278,7 +278,7 @@ class _Odometry:
             self._raw.append(raw)
 
     def text(self, stamp: int) -> str:
-        """Returns the position at the last odometry message up to the stamp."""
+        """Returns the pose in the last odometry message up to the stamp, as text."""
         at = bisect.bisect_right(self._stamps, stamp) - 1
         if at < 0:
             return "no odometry"
@@ -299,7 +299,7 @@ def _caption(width: int, stamp: int, odometry: _Odometry) -> Bgr:
 
 
 def write_pictures(bag: Path, video: Path) -> list[Path]:
-    """Writes the video and, beside it, a contact sheet with the same name and ``.png``; returns both paths."""
+    """Writes a video and, beside it, a contact sheet with the suffix ``.png``; returns both paths."""
     sheet = video.with_suffix(".png")
     write_video(bag, video)
     write_contact_sheet(bag, sheet)

@@ -29,17 +29,17 @@ def write_frames(
     options: Mapping[str, str] = H264,
     channels: str = "bgr24",
 ) -> None:
-    """Writes a video that browsers and players play; writes no file if there are no frames.
+    """Writes a video that browsers and players support; writes no file without frames.
 
     Args:
         path: file to write; its folder is created if it does not exist.
-        fps: frames a second.
-        frames: number of repetitions of each picture, and the picture, (H, W, 3); all of one size.
-        options: of the encoder libx264.
+        fps: frames per second.
+        frames: pairs of the number of repetitions and the image, (H, W, 3); all images have the same size.
+        options: options of the encoder libx264.
         channels: order of the channels, as PyAV names it.
 
     Raises:
-        RecordError: a picture differs in size from the first one.
+        RecordError: an image differs in size from the first one.
         WriteError: the file cannot be written; no partial file remains.
     """
     with ExitStack() as stack:
@@ -61,7 +61,7 @@ class _Video:
         self, path: Path, draft: Path, fps: float, size: tuple[int, int], options: Mapping[str, str], channels: str
     ) -> None:
         """Opens the file. ``size`` is (width, height), pixels."""
-        # H.264 in 4:2:0 needs even sides.
+        # H.264 in 4:2:0 requires an even width and height.
         self._size = (size[0] + size[0] % 2, size[1] + size[1] % 2)
         self._path, self._channels, self._frames = path, channels, 0
         self._file = _Output(draft)
@@ -72,7 +72,7 @@ class _Video:
         self._stream.pix_fmt = "yuv420p"
 
     def write(self, picture: NDArray[np.uint8]) -> None:
-        """Appends a frame; all pictures must have the size of the first one."""
+        """Appends a frame; all images must have the size of the first one."""
         right, bottom = self._size[0] - picture.shape[1], self._size[1] - picture.shape[0]
         if not (0 <= right <= 1 and 0 <= bottom <= 1):
             raise RecordError(
@@ -99,7 +99,7 @@ class _Video:
         try:
             container.close()
         except OSError:
-            # FFmpeg reads the images again to put the index before them; those that could not be written are missing.
+            # FFmpeg reads the frames again to move the index to the front; frames that could not be written are missing.
             if self._file.error is None:
                 raise
 
@@ -118,17 +118,17 @@ class _Video:
 
 
 class _Output:
-    """Output file of the encoder. Writes never fail, since FFmpeg ends the process if it cannot write the header of a file."""
+    """Output file of the encoder. Writes never fail, since FFmpeg aborts the process if it cannot write the header of a file."""
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
-        """Name by which FFmpeg reads the file again."""
+        """Path that FFmpeg opens to read the file again."""
         self.error: OSError | None = None
         """First error of a write; later writes are dropped."""
         self.size = 0
-        """Size of the file, bytes, dropped writes included."""
+        """Size of the file including dropped writes, bytes."""
         self.kept = 0
-        """Bytes written."""
+        """Number of bytes written."""
         self._position = 0
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CLOEXEC)
 

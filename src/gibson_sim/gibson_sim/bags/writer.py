@@ -1,6 +1,6 @@
 """Writes rosbag2 folders (storage mcap or sqlite3), message by message, at the speed of the disk.
 
-Messages are CDR bytes. A full disk ends the recording but never damages the bag: what was recorded stays readable.
+Messages are CDR bytes. A full disk ends the recording but never damages the bag: recorded messages remain readable.
 Must not import rclpy.
 """
 
@@ -32,17 +32,17 @@ __all__ = ["EMERGENCY_BYTES", "BagWriter", "Compression", "DiskFullError", "Repa
 RESERVE_BYTES = 128 * MIB
 """Default of the free disk space below which recording ends, bytes."""
 CHUNK_BYTES = MIB
-"""Size after which a chunk is written, bytes."""
+"""Size at which a chunk is written, bytes."""
 CHECK_BYTES = MIB
-"""Bytes written between two checks of the free space."""
+"""Number of bytes written between two checks of the free space."""
 _log = logging.getLogger(__name__)
 
 
 class BagWriter:
-    """A bag that is being written: a new folder with one or more files, and with ``metadata.yaml`` once it is closed.
+    """Writer of a new bag: a folder with one or more files, and with ``metadata.yaml`` once it is closed.
 
     Messages stay in memory until their chunk is full or ``flush`` is called, so a crash loses at most the last chunk; ``repair``
-    makes the rest readable. Not thread-safe.
+    makes the other messages readable. Not thread-safe.
     """
 
     def __init__(
@@ -60,19 +60,19 @@ class BagWriter:
         """Creates the folder and the first file.
 
         Args:
-            folder: must not exist, or be empty.
-            storage: kind of the files.
+            folder: folder of the bag; must not exist, or be empty.
+            storage: storage format of the files.
             message_definitions: text of the ``.msg`` file by type name, for types that are not installed; or the definitions
                 of another bag.
             reserve_bytes: free disk space below which recording ends.
             chunk_bytes: size after which a chunk is written; mcap only.
-            compression: of the chunks; mcap only.
+            compression: compression of the chunks; mcap only.
             max_file_bytes: size at which a new file is started; 0 = never.
             max_file_ns: time span of the messages at which a new file is started, nanoseconds; 0 = never.
 
         Raises:
             RecordError: the folder is not empty or cannot be created, or a setting is invalid.
-            DiskFullError: the disk has less than ``reserve_bytes`` free already.
+            DiskFullError: the disk has less free space than ``reserve_bytes``.
         """
         _check(storage, compression, chunk_bytes, reserve_bytes, max_file_bytes, max_file_ns)
         self.folder = Path(folder)
@@ -88,7 +88,7 @@ class BagWriter:
         self._end_ns = self._unchecked = 0
         self._closed = False
         self._finished = False
-        # False during a write: Ctrl-C may interrupt it, and the file may then end anywhere.
+        # False during a write, which Ctrl-C may interrupt, so that the file may be truncated anywhere.
         self._whole = True
         self._emergency = self.folder / RESERVE_FILE
         self._make_folder()
@@ -100,12 +100,12 @@ class BagWriter:
 
     @property
     def message_count(self) -> int:
-        """Messages written so far."""
+        """Number of messages written so far."""
         return sum(self._done_counts.values()) + self._tally.count
 
     @property
     def file_count(self) -> int:
-        """Files created so far."""
+        """Number of files created so far."""
         return len(self._done) + 1
 
     def add_topic(self, topic: str, type_name: str, qos: TopicQos | Profile | None = None) -> None:
@@ -117,7 +117,7 @@ class BagWriter:
             qos: ``TopicQos`` or ``rclpy.qos.QoSProfile`` for a replay; None = reliable, depth 10.
 
         Raises:
-            RecordError: the type is unknown, or the topic has another one already.
+            RecordError: the type is unknown, or the topic already has another type.
         """
         self._require_open()
         type_name = canonical_type(type_name)
@@ -139,13 +139,13 @@ class BagWriter:
         """Writes one message.
 
         Args:
-            topic: declared with ``add_topic``.
+            topic: topic that was declared with ``add_topic``.
             data: the message as CDR, with its encapsulation header of four bytes.
-            log_time_ns: time by which the bag is ordered, nanoseconds; must not run backwards.
+            log_time_ns: time by which the bag is ordered, nanoseconds; must not decrease.
             publish_time_ns: time of publication, nanoseconds.
 
         Raises:
-            RecordError: the topic is unknown, time runs backwards, or the bag is closed.
+            RecordError: the topic is unknown, the log time decreases, or the bag is closed.
             DiskFullError: the disk is (nearly) full; the bag is closed and complete.
         """
         self._require_open()
@@ -210,13 +210,13 @@ class BagWriter:
         """Writes index and metadata and closes the bag; a second call does nothing.
 
         Raises:
-            RecordError: index or metadata could not be written; the message says what to do.
+            RecordError: index or metadata could not be written; the message names the remedy.
         """
         if self._finished:
             return
-        whole, self._closed = self._whole, True
+        is_complete, self._closed = self._whole, True
         try:
-            if whole:
+            if is_complete:
                 self._whole = False
                 self._finish_file()
                 write_metadata(self.folder, self._information())
@@ -252,7 +252,7 @@ class BagWriter:
         return too_long or (bool(self._max_file_bytes) and self._file.size >= self._max_file_bytes)
 
     def _finish_file(self) -> bool:
-        """Writes what follows the messages of the current file; returns whether the disk is full now."""
+        """Writes the end of the current file, after its messages; returns whether the disk is full."""
         self._file.flush()
         record = FileRecord(self._file.path.name, self._tally.start_ns, self._tally.end_ns, self._tally.count)
         topics = [replace(topic, count=self._tally.counts[name]) for name, topic in self._topics.items()]
@@ -308,7 +308,7 @@ class BagWriter:
             raise DiskFullError(self._full_text())
 
     def _rescue(self, error: OSError) -> NoReturn:
-        """Truncates the current file to its last complete part and closes the bag, after a write that failed for good."""
+        """Truncates the current file after its last complete part and closes the bag, after an unrecoverable write error."""
         self._closed = self._finished = True
         try:
             self._file.rescue()

@@ -33,7 +33,7 @@ class DracoMesh:
     """A decoded Draco mesh."""
 
     indices: NDArray[np.int64]
-    """(3 F,), vertex indices of the corners of the triangles."""
+    """Vertex indices of the corners of the triangles, (3 F,)."""
     attributes: Mapping[int, NDArray[Any]]
     """Unique id of an attribute -> values, (V, C)."""
 

@@ -39,7 +39,7 @@ class TextureSource:
     name: str
     """Path of the image file, or file and index for an embedded image."""
     pixels: NDArray[np.uint8]
-    """(H, W, 3) RGB or (H, W, 4) RGBA uint8, sRGB, row 0 = top."""
+    """Pixels, (H, W, 3) RGB or (H, W, 4) RGBA uint8, sRGB, row 0 = top."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,16 +89,16 @@ class MeshPart:
     """Triangles of one material, counter-clockwise seen from outside."""
 
     vertices: F32
-    """(V, 3), metres, z up."""
+    """Vertex positions, (V, 3), metres, z up."""
     normals: F32
-    """(V, 3), unit length."""
+    """Vertex normals, (V, 3), unit length."""
     uvs: F32 | None
-    """(V, 2), v = 0 at the top row of the image (glTF), or None."""
+    """Texture coordinates, (V, 2), v = 0 at the top row of the image (glTF), or None."""
     triangles: NDArray[np.uint32]
-    """(F, 3), rows of ``vertices``."""
+    """Vertex indices of the triangles, (F, 3)."""
     material: Material = field(default_factory=Material)
     colors: NDArray[np.uint8] | None = None
-    """(V, 3) uint8 sRGB if the material is ``colored``; else None."""
+    """Vertex colours, (V, 3) uint8 sRGB, if the material is ``colored``; else None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,9 +32,9 @@ logger = logging.getLogger(__name__)
 FLOOR_CLEARANCE = 0.03
 """Height above the floor below which robots drive over things, metres: thresholds, carpets, the bumps of a scan."""
 FLOOR_TOLERANCE = 0.10
-"""Largest distance of a level surface from the floor's height at which it is floor, metres."""
+"""Maximum distance of a level surface from the floor's height at which it is floor, metres."""
 _LEVEL = math.cos(math.radians(20.0))
-"""Least cosine between the normal of a floor and the vertical."""
+"""Minimum cosine between the normal of a floor and the vertical."""
 MIN_GROUND_SHARE = 0.2
 """Share of the cells with floor below which the ground plane is the floor everywhere."""
 
@@ -50,25 +50,25 @@ _EXACT_BELOW = 2000.0
 _CEILING = (1.8, 6.0)
 """Heights above the floor between which a level surface is a ceiling, metres."""
 _CEILING_WIDTH = 0.6
-"""Least width of a ceiling, metres: lintels, tops of walls and lamps are narrower."""
+"""Minimum width of a ceiling, metres: lintels, tops of walls and lamps are narrower."""
 _CEILING_LEVEL = math.cos(math.radians(50.0))
-"""Least cosine between the normal of a ceiling and the vertical."""
+"""Minimum cosine between the normal of a ceiling and the vertical."""
 
 _OPEN_SHARE = 0.2
 """Share of its rim along which a region must end in nothing to be outdoors, as lawns and terraces do."""
 _ROOM_AREA = 1.0
-"""Least area of a room, square metres."""
+"""Minimum area of a room, square metres."""
 _YARD_WEIGHT = 0.02
 """Weight of area without a ceiling where the scene has ceilings."""
 
 _FLAT = 0.9
-"""Least cosine between the vertical and the normal of an underside that stands on the floor."""
+"""Minimum cosine between the vertical and the normal of an underside that stands on the floor."""
 _STEEP = 0.05
-"""Least cosine between the vertical and the normal of a surface that covers or bears something."""
+"""Minimum cosine between the vertical and the normal of a surface that covers or bears something."""
 _MAX_COVERED = 0.9
 """Share of the floor that things can stand on; if more faces down, the faces themselves are wrong."""
 _TIE = 0.002
-"""Largest distance of an underside below a floor that it stands on, metres."""
+"""Maximum distance of an underside below a floor that it stands on, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ FREE_POSES = "free_poses.csv"
 """File in a scene's folder."""
 COLUMNS = ("floor", "x", "y", "z", "yaw", "room")
 _MAX_BYTES = 16_000_000
-"""Largest size of a file that is read."""
+"""Maximum size of a file that is read."""
 
 
 @dataclass(frozen=True, slots=True)

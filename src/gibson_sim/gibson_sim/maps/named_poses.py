@@ -29,9 +29,9 @@ DEFAULT_RADIUS, DEFAULT_HEIGHT = 0.3, 0.5
 _SPARE = 0.2
 """Clearance beside the robot, metres, on floors that have places with that much."""
 _WIDEST_DOOR = 1.6
-"""Largest width of a door between two named rooms, metres; a wider passage is an opening, as between a living room and its kitchen corner."""
+"""Maximum width of a door between two named rooms, metres; a wider passage is an opening, as between a living room and its kitchen corner."""
 _THICKEST_WALL = 0.4
-"""Largest distance between the outlines of neighbouring rooms, metres."""
+"""Maximum distance between the outlines of neighbouring rooms, metres."""
 _ROOM_RESOLUTION = 0.1
 """Cell size of the maps in which rooms are found, metres."""
 _MAX_CANDIDATES = 100_000

@@ -17,11 +17,11 @@ from scipy import ndimage
 from gibson_sim.maps.floor_map import FloorMap
 
 WIDEST_DOOR = 1.0
-"""Largest width of a door, metres: a wider passage joins both sides to one room."""
+"""Maximum width of a door, metres: a wider passage joins both sides to one room."""
 NARROWEST_DOOR = 0.4
-"""Least width of a door, metres: a narrower passage is a gap beside furniture."""
+"""Minimum width of a door, metres: a narrower passage is a gap beside furniture."""
 SMALLEST_ROOM = 2.0
-"""Least area of a room, square metres."""
+"""Minimum area of a room, square metres."""
 _MAX_CELLS = 400_000
 """Free cells of a map up to which rooms are looked for: growing the regions is a loop in Python."""
 _NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))

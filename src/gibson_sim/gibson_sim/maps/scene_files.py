@@ -28,7 +28,7 @@ POSES = 100
 SPARE = 0.03
 """Clearance between a robot at a free pose and the nearest obstacle, metres."""
 _POSES_IN_A_ROOM = 5
-"""Least number of free poses in a room that a robot can reach."""
+"""Minimum number of free poses in a room that a robot can reach."""
 _RESOLUTION = 0.02
 """Cell size of the maps, metres."""
 

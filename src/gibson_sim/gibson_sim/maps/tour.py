@@ -25,9 +25,9 @@ CLEARANCE_WEIGHT = 4.0
 SEEN_WITHIN = 0.8
 """A tour counts places nearer to it than this as visited, metres."""
 SPACING = 0.1
-"""Largest distance between neighbouring points of a tour, metres."""
+"""Maximum distance between neighbouring points of a tour, metres."""
 START_TOLERANCE = 0.15
-"""Largest distance of a start from a cell that is free for the planner, metres."""
+"""Maximum distance of a start from a cell that is free for the planner, metres."""
 _SMOOTHING_PASSES = 3
 _CORNER_CUT = 0.3
 """Distance from a corner at which smoothing cuts it, metres; at most a quarter of the segment."""

@@ -35,20 +35,20 @@ Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 
 REACH = 0.3
-"""Largest distance of ramps and steps above and below the height of the floor that they belong to, metres."""
+"""Maximum distance of ramps and steps above and below the height of the floor that they belong to, metres."""
 _LAYER = 0.01
 """Thickness of the layers in which heights are told apart, metres."""
 
 STOREY = 1.8
-"""Least distance between two floors, metres: beds and tables are not floors."""
+"""Minimum distance between two floors, metres: beds and tables are not floors."""
 SMALLEST_SHARE = 0.2
-"""Least area of a floor, as a share of that of the largest one."""
+"""Minimum area of a floor, as a share of that of the largest one."""
 SMALLEST_AREA = 2.0
-"""Least area of a floor, square metres."""
+"""Minimum area of a floor, square metres."""
 _HEADROOM = 1.5
-"""Least height of a mesh above its floors, metres: a roof is not a floor."""
+"""Minimum height of a mesh above its floors, metres: a roof is not a floor."""
 _UP = 0.8
-"""Least cosine between the normal of a floor and the vertical."""
+"""Minimum cosine between the normal of a floor and the vertical."""
 _BIN = 0.02
 """Width of the bins in which the heights of triangles are counted, metres."""
 

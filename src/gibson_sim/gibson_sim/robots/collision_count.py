@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from gibson_sim.types import NS_PER_S
 
 PAUSE_NS = NS_PER_S // 10
-"""Longest interruption of a contact within one collision, simulation time, ns: bodies bounce and chatter."""
+"""Maximum interruption of a contact within one collision, simulation time, ns: bodies bounce and chatter."""
 STANDING_HEIGHT = 0.05
 """Height above its base frame below which a robot stands on what it touches, instead of colliding with it, metres."""
 STANDING_NORMAL = 0.7
-"""Least vertical component of the normal of what a robot stands on: floors, ramps and thresholds up to 45 degrees."""
+"""Minimum vertical component of the normal of what a robot stands on: floors, ramps and thresholds up to 45 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class CollisionCount:
     duration: float = 0.0
     """Time during which at least one pair touched, s."""
     greatest_force: float = 0.0
-    """Greatest normal force at one point, N."""
+    """Maximum normal force at one point, N."""
     last_link: str = ""
     """Link of the robot in the last collision; empty = there was none."""
     last_body: str = ""

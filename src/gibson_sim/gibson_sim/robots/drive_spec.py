@@ -108,7 +108,7 @@ class OmniSpec(_Limits):
     turn_slip: float = 0.0
     """Fraction of the rotation that the wheels roll and the base does not make, -0.5 to 0.9."""
     traction: float = 0.5
-    """Greatest force of all wheels together along the floor, as a fraction of the load on them."""
+    """Maximum force of all wheels together along the floor, as a fraction of the load on them."""
 
     def __post_init__(self) -> None:
         _check_positive(
@@ -155,7 +155,7 @@ class AckermannSpec(_Limits):
     steering_separation: float
     """Distance between the steering joints, metres."""
     max_steering: float
-    """Greatest angle of the inner wheel, radians."""
+    """Maximum angle of the inner wheel, radians."""
     max_steering_rate: float = 1.5
     """rad/s."""
     max_steering_torque: float = 20.0

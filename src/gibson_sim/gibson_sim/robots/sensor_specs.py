@@ -48,7 +48,7 @@ class LidarSpec:
     range_noise_ratio: float = 0.0
     """Standard deviation of a range as a fraction of it, in addition to ``range_noise``; 0.01 = 1 % of the distance."""
     range_scale: float = 0.0
-    """Standard deviation of the scale error of this device, a factor near 1 on all distances, drawn once for each seed."""
+    """Standard deviation of the scale error of this device, a factor near 1 on all distances, sampled once for each seed."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
@@ -103,7 +103,7 @@ class Lidar3DSpec:
     range_noise_ratio: float = 0.0
     """Standard deviation of a range as a fraction of it, in addition to ``range_noise``; 0.01 = 1 % of the distance."""
     range_scale: float = 0.0
-    """Standard deviation of the scale error of this device, a factor near 1 on all distances, drawn once for each seed."""
+    """Standard deviation of the scale error of this device, a factor near 1 on all distances, sampled once for each seed."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
@@ -161,7 +161,7 @@ class BumperSpec:
     """Sensitive links, without the body name: the first of each rigid group; () = the whole robot."""
     name: str = "bumper"
     threshold: float = 1.0
-    """Least force that is detected, all contacts together, N, above 0."""
+    """Minimum force that is detected, all contacts together, N, above 0."""
     max_slope: float = math.radians(45.0)
     """Angle to the vertical below which the normal of a contact is that of a floor or a load, radians, in [0, pi/2)."""
     rate_hz: float = 30.0

@@ -47,7 +47,7 @@ class PointLight:
     position: Vec3
     """World frame, metres."""
     color: Vec3 = (1.0, 1.0, 1.0)
-    """sRGB, 0 to 1."""
+    """Colour, sRGB, 0 to 1."""
     strength: float = 1.0
     """Linear; 1 = a white surface that faces the lamp becomes white at 1 m, and a quarter of that at 2 m."""
     range: float = 0.0
@@ -96,7 +96,7 @@ class LightSpec:
     background: Vec3 = (0.70, 0.76, 0.82)
     """Colour of the background, sRGB, 0 to 1."""
     sun_color: Vec3 = (1.0, 1.0, 1.0)
-    """sRGB, 0 to 1."""
+    """Colour of the sunlight, sRGB, 0 to 1."""
     shadows: bool = False
     """Whether the sun casts shadows. Keep it off in closed rooms, whose ceilings would block the sun."""
     points: tuple[PointLight, ...] = ()
@@ -135,7 +135,7 @@ class SplatsSpec:
     pose: Pose = field(default_factory=Pose)
     """T_world_file, without the scale."""
     scale: float = 1.0
-    """Metres per unit of the file."""
+    """Scale, metres per unit of the file."""
 
     def __post_init__(self) -> None:
         _check_number("splats", "scale", self.scale, *SPLAT_SCALES)
@@ -158,7 +158,7 @@ class SceneSpec:
     floor_z: float = 0.0
     """Height of the floor that robots start on, metres."""
     gravity: Vec3 = (0.0, 0.0, -9.81)
-    """m/s^2."""
+    """Gravity, m/s^2."""
     starts: tuple[StartPose, ...] = ()
     light: LightSpec = field(default_factory=LightSpec)
     robots: tuple[RobotSpec, ...] = ()
@@ -198,7 +198,7 @@ class DrawnScene:
     """Names of all moving links, in the order of ``SceneState.links``."""
     visuals: tuple[VisualSpec, ...]
     cameras: tuple[CameraSpec, ...]
-    """In the order of ``due_cameras``."""
+    """Cameras, in the order of ``due_cameras``."""
     light: LightSpec
     splats: SplatsSpec | None = None
     """Splats that are drawn over the static visuals; None = no splats."""

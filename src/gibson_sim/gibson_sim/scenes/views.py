@@ -308,7 +308,7 @@ class _Above:
     height: float
     """Height of the camera above the point, metres."""
     yaw: float
-    """As ``Top.yaw``."""
+    """Rotation of the camera, as ``Top.yaw``."""
 
     def camera_pose(self, target: Pose, stamp_ns: int) -> Pose:
         """Returns T_world_optical."""

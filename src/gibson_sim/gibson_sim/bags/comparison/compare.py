@@ -21,9 +21,9 @@ from gibson_sim.bags.comparison.response import AxisResponse
 from gibson_sim.robots.spec import RobotSpec
 
 FARTHEST, FARTHEST_TURN = 0.15, np.radians(6.0)
-"""Largest distance between matching poses, m and rad."""
+"""Maximum distance between matching poses, m and rad."""
 SCAN_MATCH = 0.05, math.radians(3.0)
-"""Largest distance between poses whose scans are compared, m and rad."""
+"""Maximum distance between poses whose scans are compared, m and rad."""
 TIMED_ROLES = ("odom", "truth", "imu", "scan", "image")
 """Roles whose topics' timing is compared."""
 
@@ -40,7 +40,7 @@ class Comparison:
     scan_residuals: Residuals | None
     """Real minus simulated ranges at matched poses."""
     alignment: str
-    """How the poses of both recordings were aligned."""
+    """Alignment of the poses of both recordings, as text."""
     notes: tuple[str, ...]
 
     @property
@@ -57,12 +57,12 @@ class Row:
     name: str
     unit: str
     real: float
-    """NaN = the recording does not determine it."""
+    """Metric of the real recording; NaN = the recording does not determine it."""
     sim: float
     notable: float
-    """Smallest notable difference."""
+    """Minimum notable difference."""
     change: str = ""
-    """What to change in the ``robot.yaml``."""
+    """Value to change in the ``robot.yaml``."""
 
     @property
     def difference(self) -> float:
@@ -81,12 +81,12 @@ class MatchedPictures:
     """Images of both recordings at nearly the same poses."""
 
     pairs: NDArray[np.intp]
-    """(K, 2), rows of the real and the simulated pictures."""
+    """Rows of the real and the simulated images, (K, 2)."""
     real: F64
-    """(8,), mean of ``STATISTICS``."""
+    """Mean of ``STATISTICS`` of the real images, (8,)."""
     sim: F64
     histogram_distance: float
-    """Mean over the pairs."""
+    """Mean distance of the histograms over the pairs."""
 
 
 def compare(

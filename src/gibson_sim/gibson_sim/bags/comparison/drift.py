@@ -28,13 +28,13 @@ class Scales:
     """Ratios of the motion by odometry to the true motion, over segments of a second, outliers excluded."""
 
     forward: float
-    """NaN if the robot moved less than 1 m."""
+    """Ratio of forward motion; NaN if the robot moved less than 1 m."""
     turn: float
-    """NaN if it turned less than 90 degrees."""
+    """Ratio of rotation; NaN if it turned less than 90 degrees."""
     veer: float
     """Additional turn by odometry for each true metre forward, rad/m."""
     forward_deviation: float = 0.0
-    """Standard deviations of these three; infinite if too few segments determine them."""
+    """Standard deviations of the three; infinite if too few segments determine them."""
     turn_deviation: float = 0.0
     veer_deviation: float = 0.0
 
@@ -56,7 +56,7 @@ class Drift:
     turn_per_rad: float
     """Mean heading error over quarter turns, rad/rad; NaN if the robot turned less."""
     stuck: tuple[tuple[float, float], ...] = ()
-    """(begin, end), seconds, of large disagreement between wheels and truth: the robot was stuck or pushed, or its truth was wrong."""
+    """Intervals (begin, end), seconds, of large disagreement between wheels and truth: the robot was stuck or pushed, or the truth is wrong."""
 
     @property
     def stuck_s(self) -> float:
@@ -81,16 +81,16 @@ class MotionSegments:
     """Motions over time segments, by odometry and in truth, in the frame of the base at the start of each."""
 
     begin: F64
-    """(K,), seconds."""
+    """Start times, (K,), seconds."""
     forward: F64
     turn: F64
-    """(K,), by odometry, m and rad."""
+    """Motion by odometry, (K,), m and rad."""
     true_forward: F64
     true_turn: F64
     path: F64
-    """(K,), length of the true path, forward or backward, metres."""
+    """Length of the true path, forward or backward, (K,), metres."""
     swept: F64
-    """(K,), true rotation to either side, radians."""
+    """True rotation to either side, (K,), radians."""
 
 
 def common(odometry: PlanarTrack, truth: PlanarTrack) -> tuple[F64, PlanarTrack, PlanarTrack] | None:

@@ -21,19 +21,19 @@ from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 
 _MOST_TICKS, _LEAST_TICKS = 200_000, 16
-"""Range of the estimate, ticks a turn."""
+"""Range of the estimate, ticks per revolution."""
 _SETTLE_S = 0.3
-"""Time after a change of speed for which odometry is not even, seconds."""
+"""Time after a change of speed during which odometry is not steady, seconds."""
 _LEAST_NOISE = 2e-4
 """Noise below which odometry counts as exact, m/s."""
 _CLEAR = 0.9
-"""Phase coherence of the speeds, 0 to 1, from which on a period is accepted."""
+"""Minimum phase coherence of the speeds, 0 to 1, for a period to be accepted."""
 _PERIOD_DEVIATION, _NOISE_DEVIATION = 0.01, 0.05
 """Lower bounds of the relative standard deviation of ticks found as a period, and by their noise."""
 _LONGEST_STRETCH, _LEAST_STRETCHES = 40, 4.0
-"""Samples of a stretch that count, at most, and the number of equal stretches that determine a noise, at least."""
+"""Maximum number of samples of a stretch that count, and minimum number of equal stretches that determine a noise."""
 _MOST_STEPS = 60.0
-"""Periods in the highest speed, at most: beyond, the gains are too uncertain to determine the phase."""
+"""Maximum number of periods in the highest speed: beyond, the gains are too uncertain to determine the phase."""
 
 
 def fit_ticks(
@@ -96,9 +96,9 @@ class SpeedNoise:
     """Standard deviations of odometry's velocities while the model moves at constant speed, slow changes excluded."""
 
     linear: float
-    """m/s."""
+    """Deviation of the linear velocity, m/s."""
     angular: float
-    """rad/s."""
+    """Deviation of the angular velocity, rad/s."""
     deviation: float
     """Relative standard deviation of ``linear``, from the scatter over stretches; infinite for few: quantisation noise depends on speed."""
 

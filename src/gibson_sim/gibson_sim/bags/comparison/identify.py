@@ -24,9 +24,9 @@ from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 from gibson_sim.types import NS_PER_S
 
 LEAST_LINEAR, LEAST_ANGULAR = 0.05, 0.1
-"""Smallest range of commands from which a response is identified, m/s and rad/s."""
+"""Minimum range of commands from which a response is identified, m/s and rad/s."""
 _MODEL_HZ = 240
-"""Steps of the model a second."""
+"""Steps of the model per second."""
 _EARLIEST, _LONGEST_DELAY = -0.05, 1.0
 """Bounds of the delay, seconds. The clock of the commands moves in ticks, so odometry may seem to precede its command."""
 _SEGMENT_S = 1.0
@@ -34,7 +34,7 @@ _SEGMENT_S = 1.0
 _STEPS = (5e-4, 1e-3, 1e-3, 1e-3, 1e-3)
 """Step of each parameter for numerical derivatives."""
 _SOFT = 0.3
-"""Scale of the robust loss, as a part of the spread of the speed."""
+"""Scale of the robust loss, as a fraction of the spread of the speed."""
 _SETTLED = 1e-9
 """Change of the velocity in a step below which a drive has settled, m/s + rad/s."""
 
@@ -44,24 +44,24 @@ class DriveFit:
     """The identified response of a drive; None = not determined by the recording."""
 
     delay: Estimate
-    """Seconds from the recorded command to odometry."""
+    """Delay from the recorded command to odometry, seconds."""
     linear_acceleration: Estimate | None
-    """m/s^2, in units of the commands."""
+    """Limit of the linear acceleration, m/s^2, in units of the commands."""
     angular_acceleration: Estimate | None
-    """rad/s^2."""
+    """Limit of the angular acceleration, rad/s^2."""
     linear_gain: Estimate | None
     """Ratio of the forward speed by odometry to the commanded one."""
     angular_gain: Estimate | None
     linear_rms: float
     """Root mean square of the residuals, m/s."""
     angular_rms: float
-    """rad/s."""
+    """Root mean square of the residuals, rad/s."""
     t: F64
-    """(N,), times of odometry, seconds."""
+    """Times of odometry, (N,), seconds."""
     linear: F64
-    """(N,), velocity of the model, m/s."""
+    """Linear velocity of the model, (N,), m/s."""
     angular: F64
-    """(N,), rad/s."""
+    """Angular velocity of the model, (N,), rad/s."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,9 +24,9 @@ class ImuNoise:
     """Total duration of all rests, seconds."""
     rate_hz: float
     gyro: NoiseModel
-    """rad/s; all axes together."""
+    """Noise of the gyroscope, rad/s; all axes together."""
     accel: NoiseModel
-    """m/s^2."""
+    """Noise of the accelerometer, m/s^2; all axes together."""
     gyro_curve: AllanCurve
     accel_curve: AllanCurve
     gyro_bias: Vec3
@@ -66,11 +66,11 @@ class AllanCurve:
     """Allan deviation over averaging times."""
 
     tau: F64
-    """(K,), seconds."""
+    """Averaging times, (K,), seconds."""
     deviation: F64
-    """(K,), in the unit of the signal."""
+    """Allan deviation, (K,), in the unit of the signal."""
     weights: F64
-    """(K,), number of non-overlapping averages in each."""
+    """Number of non-overlapping averages in each, (K,)."""
 
 
 def imu_noise(imu: ImuSamples, rests: list[tuple[float, float]], gravity: float = 9.81) -> ImuNoise | None:

@@ -14,7 +14,7 @@ from gibson_sim.bags.comparison.signals import inside
 RESOLUTIONS = (0.05, 0.02, 0.01, 0.005, 0.0025, 0.002, 0.001, 0.0005, 0.00025)
 """Usual range resolutions of lidars, metres, the coarsest first."""
 _MOST_SCANS = 60
-"""Scans compared, at most."""
+"""Maximum number of scans that are compared."""
 _SAME_WALL = 0.3
 """Residual beyond which the beam hit another surface, metres."""
 
@@ -26,13 +26,13 @@ class LidarNoise:
     scans: int
     beams: int
     range_noise: float
-    """Standard deviation, metres, without quantisation; NaN = the robot never stands long enough."""
+    """Standard deviation of ranges without quantisation, metres; NaN = the robot never stands long enough."""
     resolution: float
     """Number of which all ranges are multiples, metres; 0 = none found."""
     dropout: float
-    """Part of the beams that do not return although both neighbours return from one surface; NaN = too few such beams."""
+    """Fraction of the beams that do not return although both neighbours return from one surface; NaN = too few such beams."""
     dropout_deviation: float = 0.0
-    """Its standard deviation: beams through a gap of the scene are missing in scan after scan."""
+    """Standard deviation of ``dropout``: beams through a gap of the scene are missing in every scan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,13 +40,13 @@ class Residuals:
     """Measured minus expected ranges."""
 
     values: F64
-    """(N,), metres."""
+    """Residuals, (N,), metres."""
     bias: float
-    """Median."""
+    """Median of the residuals, metres."""
     spread: float
-    """Standard deviation estimated from the median absolute deviation, robust against outliers."""
+    """Standard deviation estimated from the median absolute deviation, metres."""
     outliers: float
-    """Part beyond 0.3 m of the expected range."""
+    """Fraction more than 0.3 m from the expected range."""
     scans: int
 
     @staticmethod

@@ -32,13 +32,13 @@ from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, yaw_from_quat
 from gibson_sim.types import NS_PER_S, Pose
 
 MOST_PICTURES = 200
-"""Images evaluated, evenly spaced over the recording, at most."""
+"""Maximum number of images that are evaluated, evenly spaced over the recording."""
 MOST_SCANS = 3000
-"""Scans evaluated, evenly spaced over the recording, at most."""
+"""Maximum number of scans that are evaluated, evenly spaced over the recording."""
 LONGEST_S = 7 * 24 * 3600
-"""Longest recording, seconds; wrong stamps make it years long."""
+"""Maximum duration of a recording, seconds; wrong stamps can make it years long."""
 _OCCUPIED = 65
-"""Value of an occupancy grid's cell from which on it is a wall."""
+"""Minimum value of an occupied cell of an occupancy grid."""
 _OPTIONAL_MAP = "map"
 
 

@@ -21,11 +21,11 @@ class Assumptions:
     """Values that no bag contains."""
 
     gravity: float = 9.81
-    """m/s^2."""
+    """Gravity, m/s^2."""
     command_timeout: float = 0.5
     """Command timeout of the real robot, seconds."""
     step_hz: int = 240
-    """Physics steps a second of the simulation."""
+    """Physics steps per second of the simulation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +34,7 @@ class Measurements:
 
     recording: RecordedDrive
     rests: tuple[tuple[float, float], ...]
-    """(begin, end) of the times at which the robot stands, seconds."""
+    """Intervals (begin, end) in which the robot stands still, seconds."""
     linear: AxisResponse | None = None
     angular: AxisResponse | None = None
     fit: DriveFit | None = None
@@ -45,7 +45,7 @@ class Measurements:
     lidar: LidarNoise | None = None
     map_residuals: Residuals | None = None
     timing: dict[str, TopicTiming] | None = None
-    """By topic."""
+    """Topic -> timing."""
 
 
 def measure(recording: RecordedDrive, drive: DriveSpec | None, assumptions: Assumptions) -> Measurements:

@@ -20,12 +20,12 @@ from gibson_sim.robots.sensor_specs import ImuSpec, LidarSpec, WheelOdometrySpec
 from gibson_sim.robots.spec import RobotSpec
 
 CERTAINTY = 3.0
-"""Standard deviations by which a value must differ from the present one: among thirty values, hardly one does so by chance."""
+"""Minimum difference from the current value, standard deviations, for a change: among thirty values, hardly one differs by so much by chance."""
 _LEAST = {
     "gyro_noise": 1e-6, "gyro_bias": 1e-5, "gyro_bias_walk": 1e-7, "accel_noise": 1e-6, "accel_bias": 1e-5, "accel_bias_walk": 1e-7,
     "range_noise": 1e-5,
 }  # fmt: skip
-"""Smallest significant difference of these keys, in their units: a simulated robot at rest moves by as much, 32-bit ranges are as coarse."""
+"""Minimum significant difference of these keys, in their units: a simulated robot at rest moves by as much, 32-bit ranges are as coarse."""
 _THREE_AXES = 1.0 / math.sqrt(6.0)
 """Relative standard deviation of the root mean square of three normally distributed values."""
 
@@ -35,7 +35,7 @@ class Parameter:
     """One value of the file."""
 
     section: str
-    """E.g. ``drive``."""
+    """Section of the file, such as ``drive``."""
     key: str
     index: int
     """Index of the sensor in the section; 0 if there is only one."""
@@ -45,9 +45,9 @@ class Parameter:
     deviation: float
     """Standard deviation of ``new``; 0 = the messages contain it, infinite = the recordings do not determine it."""
     because: str
-    """Source of the value, for readers."""
+    """Source of the value, as text."""
     alone: bool = True
-    """Whether the value changes independently; otherwise ``paired`` decides, for the value and its counterpart together."""
+    """Whether the value changes independently; else ``paired`` determines whether the value and its counterpart change together."""
     paired: bool = False
 
     @property

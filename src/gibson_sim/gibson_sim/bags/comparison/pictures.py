@@ -22,7 +22,7 @@ BINS = 64
 LUMA = (0.299, 0.587, 0.114)
 """Weights of red, green and blue (ITU-R BT.601)."""
 THUMBNAIL_WIDTH = 240
-"""Pixels."""
+"""Width of thumbnails, pixels."""
 _NOISE_MASK = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 
 

@@ -27,7 +27,7 @@ class Plot:
     title: str
     caption: str
     svg: str
-    """An ``<svg>`` element."""
+    """Plot as an ``<svg>`` element."""
 
 
 def draw_plots(comparison: Comparison) -> list[Plot]:

@@ -16,11 +16,11 @@ class Commands:
     """Velocity commands, in the order of their arrival."""
 
     t: F64
-    """(N,), arrival at the recorder, on the clock of the stamps, seconds."""
+    """Times of arrival at the recorder, on the clock of the stamps, (N,), seconds."""
     linear: F64
-    """(N,), m/s."""
+    """Linear velocity, (N,), m/s."""
     angular: F64
-    """(N,), rad/s."""
+    """Angular velocity, (N,), rad/s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,18 +28,18 @@ class PlanarTrack:
     """Planar poses in one frame, and velocities in the base frame."""
 
     t: F64
-    """(N,), seconds, increasing."""
+    """Times, (N,), seconds, increasing."""
     x: F64
     y: F64
-    """(N,), metres."""
+    """Position, (N,), metres."""
     yaw: F64
-    """(N,), radians, unwrapped."""
+    """Heading, (N,), radians, unwrapped."""
     linear: F64
-    """(N,), forward, m/s; NaN if the source has no velocities."""
+    """Forward velocity, (N,), m/s; NaN if the source has no velocities."""
     angular: F64
-    """(N,), rad/s; NaN likewise."""
+    """Yaw rate, (N,), rad/s; NaN if the source has no velocities."""
     source: str = ""
-    """Name of the source, for readers."""
+    """Name of the source, for display."""
 
     def at(self, t: F64) -> tuple[F64, F64, F64]:
         """Returns x, y, yaw, each (M,), interpolated; NaN outside the track."""
@@ -52,11 +52,11 @@ class ImuSamples:
     """Samples of an IMU in its own frame."""
 
     t: F64
-    """(N,), seconds, increasing."""
+    """Times, (N,), seconds, increasing."""
     gyro: F64
-    """(N, 3), rad/s."""
+    """Angular velocity, (N, 3), rad/s."""
     accel: F64
-    """(N, 3), m/s^2."""
+    """Linear acceleration, (N, 3), m/s^2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,18 +64,18 @@ class Scans:
     """Scans of a planar lidar."""
 
     t: F64
-    """(N,), seconds, increasing."""
+    """Times, (N,), seconds, increasing."""
     ranges: F64
-    """(N, B), metres; not finite = no return."""
+    """Ranges, (N, B), metres; not finite = no return."""
     angle_min: float
-    """Radians about the lidar's z axis."""
+    """Angle of the first beam about the lidar's z axis, radians."""
     angle_increment: float
-    """Radians."""
+    """Angle between beams, radians."""
     range_min: float
     range_max: float
-    """Metres."""
+    """Maximum range, metres."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """x, y (m) and yaw (rad) of the lidar in the base frame."""
+    """Pose x, y (m) and yaw (rad) of the lidar in the base frame."""
     upside_down: bool = False
 
     @property
@@ -90,7 +90,7 @@ class OccupancyMap:
     """A map of walls."""
 
     occupied: NDArray[np.bool_]
-    """(rows, columns); row 0 is the lowest y."""
+    """Mask of the occupied cells, (rows, columns); row 0 is the lowest y."""
     resolution: float
     """Edge of a cell, metres."""
     origin: tuple[float, float]
@@ -102,13 +102,13 @@ class Pictures:
     """Statistics of images, one row each; of the pixels, only thumbnails are kept."""
 
     t: F64
-    """(N,), seconds."""
+    """Times, (N,), seconds."""
     statistics: F64
-    """(N, len(pictures.STATISTICS))."""
+    """Statistics, (N, len(pictures.STATISTICS))."""
     histograms: F64
-    """(N, 64), part of the pixels by luma."""
+    """Luma histograms, (N, 64), fraction of the pixels."""
     thumbnails: tuple[NDArray[np.uint8], ...] = ()
-    """(h, w, 3) RGB each."""
+    """Thumbnails, each (h, w, 3) RGB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,9 +116,9 @@ class Arrivals:
     """Log times and stamps of the messages of one topic."""
 
     log_ns: NDArray[np.int64]
-    """(N,), nanoseconds."""
+    """Log times, (N,), nanoseconds."""
     stamp_ns: NDArray[np.int64] | None
-    """(N,), nanoseconds; None = the type has no stamp."""
+    """Stamps, (N,), nanoseconds; None = the type has no stamp."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +127,7 @@ class RecordedDrive:
 
     path: Path
     duration: float
-    """Seconds."""
+    """Duration, seconds."""
     topics: dict[str, str]
     """Role -> topic."""
     commands: Commands | None = None
@@ -138,6 +138,6 @@ class RecordedDrive:
     map: OccupancyMap | None = None
     pictures: Pictures | None = None
     arrivals: dict[str, Arrivals] = field(default_factory=dict)
-    """By topic."""
+    """Topic -> arrivals."""
     notes: tuple[str, ...] = ()
     """Missing data and assumptions, one sentence each."""

@@ -33,17 +33,17 @@ class Step:
     """Time of the command, seconds."""
     before: float
     after: float
-    """The command, m/s or rad/s."""
+    """Command before and after the step, m/s or rad/s."""
     delay: float
-    """Seconds."""
+    """Delay of the response, seconds."""
     rise_time: float
-    """From 10 to 90 %, seconds."""
+    """Rise time from 10 to 90 %, seconds."""
     overshoot: float
-    """Part of the step's height."""
+    """Overshoot as a fraction of the step height."""
     gain: float
     """Ratio of the settled velocity to the command; NaN after a step to zero."""
     acceleration: float
-    """Absolute value, m/s^2 or rad/s^2."""
+    """Absolute acceleration, m/s^2 or rad/s^2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +53,11 @@ class LinearModel:
     order: int
     gain: float
     delay: float
-    """Seconds."""
+    """Dead time, seconds."""
     time_constant: float
-    """T, or 1 / w, seconds."""
+    """Time constant T, or 1 / w, seconds."""
     damping: float
-    """z; 1 for the first order."""
+    """Damping ratio z; 1 for the first order."""
     rms: float
     """Root mean square of the residuals, m/s or rad/s."""
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from gibson_sim.bags.comparison.recorded_drive import F64, Commands, ImuSamples, PlanarTrack
 
 STILL_LINEAR, STILL_ANGULAR = 0.01, 0.02
-"""Speeds below which the robot stands, m/s and rad/s."""
+"""Speeds below which the robot counts as standing still, m/s and rad/s."""
 _WINDOW = 0.5
-"""Window of the spread of an IMU, seconds."""
+"""Window for the spread of an IMU, seconds."""
 _CALM = 2.5
-"""Spread of an IMU at rest, at most, as a multiple of the least spread."""
+"""Maximum spread of an IMU at rest, as a multiple of the minimum spread."""
 
 
 def held(t: F64, values: F64, when: F64, timeout: float) -> F64:

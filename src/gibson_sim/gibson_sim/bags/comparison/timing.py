@@ -20,15 +20,15 @@ class TopicTiming:
 
     count: int
     rate_hz: float
-    """By the nominal period; 0 = fewer than two messages."""
+    """Message rate by the nominal period, Hz; 0 = fewer than two messages."""
     jitter_ms: float
-    """Standard deviation of the steps between messages, without gaps; by the stamps if there are any."""
+    """Standard deviation of the intervals between messages, without gaps; computed from the stamps if the type has one."""
     missing: int
-    """Messages missing by the nominal period."""
+    """Number of missing messages by the nominal period."""
     latency_ms: float
     """Median of log time minus stamp; NaN = no stamps, or stamps of another clock."""
     latency_99_ms: float
-    """99th percentile; NaN likewise."""
+    """99th percentile of log time minus stamp; NaN as for the median."""
     same_clock: bool
     """Whether log times and stamps are of one clock, so that their difference is a latency."""
 

@@ -22,11 +22,11 @@ class Role:
     name: str
     types: tuple[str, ...]
     usual: tuple[str, ...]
-    """Usual names in order of preference; a namespace may precede them."""
+    """Usual topic names in order of preference; a namespace may precede them."""
     any_of_type: bool = True
     """Whether the only topic of these types is used, whatever its name."""
     lacks: str = ""
-    """What is not compared without it."""
+    """Comparisons that are omitted without the topic."""
 
 
 ROLES: tuple[Role, ...] = (

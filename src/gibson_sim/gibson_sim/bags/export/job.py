@@ -24,11 +24,11 @@ class ExportOptions:
     """What to export, and how."""
 
     topics: tuple[str, ...] = ()
-    """Image topics; none = all."""
+    """Image topics; empty = all."""
     begin: float = 0.0
-    """Seconds after the start of the bag."""
+    """First time to export, seconds after the start of the bag."""
     end: float = 0.0
-    """Seconds after the start of the bag; 0 = its end."""
+    """Last time to export, seconds after the start of the bag; 0 = the end of the bag."""
     every: int = 1
     """Export every n-th image of each camera."""
     image: str = "png"
@@ -40,9 +40,9 @@ class ExportOptions:
     fixed_frame: str = ""
     """Frame of the poses from tf; empty = map, odom or world."""
     max_difference: float = 0.02
-    """Largest difference of the stamps of images of one moment, seconds."""
+    """Maximum difference of the stamps of matched images, seconds."""
     fps: int = 0
-    """LeRobot: frames a second; 0 = the rate of the images."""
+    """LeRobot: frames per second; 0 = the rate of the images."""
     task: str = "drive"
     """LeRobot: description of the task."""
 
@@ -116,7 +116,7 @@ class ExportJob:
 
     @property
     def most_ns(self) -> int:
-        """Largest difference of the stamps of images of one moment, nanoseconds."""
+        """Maximum difference of the stamps of images of one moment, nanoseconds."""
         return round(self.options.max_difference * NS_PER_S)
 
     def pose_source(self, camera: ExportCamera) -> PoseSource | None:

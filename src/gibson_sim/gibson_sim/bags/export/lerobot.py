@@ -36,7 +36,7 @@ _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _VIDEO_OPTIONS = {"crf": "20", "preset": "veryfast", "g": "2", "bf": "0"}
 """Options of libx264; every second frame is a key frame, for random access."""
 _IMAGES_MEASURED = 100
-"""Images from which the statistics of a camera are computed, at most."""
+"""Maximum number of images from which the statistics of a camera are computed."""
 _DEFAULTS: dict[str, dict[str, Any]] = {
     "timestamp": {"dtype": "float32", "shape": [1], "names": None},
     "frame_index": {"dtype": "int64", "shape": [1], "names": None},

@@ -22,7 +22,7 @@ _TF_TYPE = "tf2_msgs/msg/TFMessage"
 _FIXED_FRAMES = ("map", "odom", "world")
 """Frames that poses may be in, in order of preference."""
 _MOST_LINKS = 100
-"""Longest chain of frames; a longer one is a loop."""
+"""Maximum length of a chain of frames; a longer one is a loop."""
 
 
 class PoseSource(Protocol):
@@ -42,7 +42,7 @@ class PoseTrack:
 
     stamps: list[int] = field(default_factory=list)
     rows: list[NDArray[np.float64]] = field(default_factory=list)
-    """x y z (metres), qx qy qz qw."""
+    """Position x y z (metres) and quaternion qx qy qz qw."""
     _arrays: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
 
     def add(self, stamp_ns: int, row: NDArray[np.float64]) -> None:

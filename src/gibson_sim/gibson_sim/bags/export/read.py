@@ -65,7 +65,7 @@ class Lens:
     model: str
     """``distortion_model``."""
     k: tuple[float, ...]
-    """Nine numbers by rows, pixels; pixel centres are at integer coordinates."""
+    """Intrinsic matrix, nine numbers, row-major, pixels; pixel centres are at integer coordinates."""
     d: tuple[float, ...]
 
     @property
@@ -79,17 +79,17 @@ class ExportCamera:
     """Images with one frame and one lens: a colour camera with its pixel-aligned outputs, or a depth camera alone."""
 
     name: str
-    """Name usable in file names."""
+    """Name that is valid in file names."""
     path: str
     """Namespace of its topics without the leading slash; the name of the camera in a scene."""
     frame_id: str
     width: int
     height: int
     streams: dict[str, Stream]
-    """By output: rgb, depth, semantic, ..."""
+    """Output (rgb, depth, semantic, ...) -> stream."""
     lens: Lens | None
     stamps: dict[str, NDArray[np.int64]] = field(default_factory=dict)
-    """Stamps of each stream, nanoseconds, increasing."""
+    """Output -> stamps, nanoseconds, increasing."""
 
     @property
     def first(self) -> str:

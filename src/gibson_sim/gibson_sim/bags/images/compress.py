@@ -1,4 +1,4 @@
-"""Compresses the images of a recording into the forms of image_transport: JPEG for colours, PNG for labels, compressedDepth for depth."""
+"""Compresses the images of a recording in the formats of image_transport: JPEG for colours, PNG for labels, compressedDepth for depth."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from gibson_sim.sensors.image_codecs import COMPRESSED_DEPTH_FORMAT, color_forma
 JPEG_QUALITY = 95
 """Quality of recorded JPEG images, that of ``<camera>/image_raw/compressed``."""
 DEPTH_MAX_M = 100.0
-"""Depth from which on recorded compressedDepth images have no value, m."""
+"""Maximum depth of recorded compressedDepth images; farther pixels have no value, m."""
 _PNG_LEVEL = 1
 _SUFFIX = {
     "rgb8": "/compressed", "bgr8": "/compressed", "mono8": "/compressed", "16UC1": "/compressed", "mono16": "/compressed",
     "32FC1": "/compressedDepth",
 }  # fmt: skip
-"""Encoding -> what image_transport appends to the topic of its compressed form. Others have none and stay raw."""
+"""Encoding -> suffix of image_transport's topic of compressed images. Other encodings are not compressed."""
 Message = tuple[str, bytes]
 """Topic and CDR bytes."""
 
 
 class ImageCompressor:
-    """Compresses images on several threads; the messages keep their order. Use it as a context manager, or call ``close``."""
+    """Compresses images in several threads, in order. Use it as a context manager, or call ``close``."""
 
     def __init__(self) -> None:
         self._store = get_typestore(Stores.ROS2_JAZZY)
@@ -40,13 +40,13 @@ class ImageCompressor:
         self._pool = ThreadPoolExecutor(min(4, os.cpu_count() or 1), thread_name_prefix="compress")
 
     def add_topic(self, topic: str) -> None:
-        """Adds a topic of ``sensor_msgs/Image`` whose messages are to be compressed."""
+        """Adds a topic of ``sensor_msgs/Image`` to be compressed."""
         self._topics.add(topic)
 
     def compress(self, messages: Iterable[Message]) -> Iterator[tuple[str, bytes, str]]:
-        """Yields topic, bytes and topic of the raw form of each message in their order; that of images only becomes another one.
+        """Yields topic, bytes and raw topic of each message, in order; the topic differs from the raw topic for compressed images.
 
-        An image without a compressed form, such as one of normals, stays as it is; so does one that cannot be decoded.
+        Images without a compressed format, such as normals, and images that cannot be decoded are not changed.
         """
         waiting: list[tuple[str, bytes | Future[Message]]] = []
         for topic, data in messages:
@@ -69,7 +69,7 @@ class ImageCompressor:
         return topic + suffix, bytes(self._store.serialize_cdr(compressed, COMPRESSED))
 
     def close(self) -> None:
-        """Ends the threads; a second call does nothing."""
+        """Stops the threads; a second call does nothing."""
         self._pool.shutdown()
 
     def __enter__(self) -> ImageCompressor:
@@ -80,7 +80,7 @@ class ImageCompressor:
 
 
 def _encoded(encoding: str, pixels: NDArray[Any]) -> tuple[str, NDArray[np.uint8]]:
-    """Returns format and data of the compressed form."""
+    """Returns format and data of the compressed image."""
     if encoding == "32FC1":
         data = encode_depth(pixels, depth_max=DEPTH_MAX_M, png_level=_PNG_LEVEL)
         return COMPRESSED_DEPTH_FORMAT, np.frombuffer(data, dtype=np.uint8)

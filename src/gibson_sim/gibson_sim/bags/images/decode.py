@@ -1,4 +1,4 @@
-"""Decodes compressed images of bags, so that whatever reads images reads both kinds."""
+"""Decodes compressed images of bags, so that readers of images can read both raw and compressed ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.sensors.image_codecs import decode_depth, is_compressed_depth
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 IMAGE_TYPES = (IMAGE, COMPRESSED)
 SUFFIXES = ("/compressed", "/compressedDepth")
-"""What image_transport appends to the topic of an image for its compressed forms."""
+"""Suffixes of image_transport's topics of compressed images."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,19 +29,19 @@ class DecodedImage:
     height: int
     width: int
     step: int
-    """Bytes of a row."""
+    """Size of a row, bytes."""
     data: NDArray[np.uint8]
-    """(N,): the rows, little-endian."""
+    """Rows, (N,), little-endian."""
     is_bigendian: int = 0
 
 
 def raw_image(msg: Any) -> Any:
     """Returns an image with the fields of ``sensor_msgs/Image``: the message itself, or a decoded ``sensor_msgs/CompressedImage``.
 
-    A compressed colour image becomes bgr8 or mono8, one of 16 bits what its ``format`` names, compressedDepth 32FC1 or 16UC1.
+    Compressed colour images are decoded to bgr8 or mono8, 16-bit images to the encoding in ``format``, compressedDepth to 32FC1 or 16UC1.
 
     Raises:
-        RecordError: it is neither JPEG nor PNG, or is damaged.
+        RecordError: the image is neither JPEG nor PNG, or is damaged.
     """
     if not hasattr(msg, "format"):
         return msg
@@ -81,7 +81,7 @@ def _unreadable(image_format: str) -> RecordError:
 
 
 def base_topic(topic: str) -> str:
-    """Returns the topic of the raw image that a topic shows, too: ``/camera/image_raw`` of ``/camera/image_raw/compressed``."""
+    """Returns the topic of the raw image: ``/camera/image_raw`` for ``/camera/image_raw/compressed``."""
     for suffix in SUFFIXES:
         if topic.endswith(suffix):
             return topic.removesuffix(suffix)

@@ -1,4 +1,4 @@
-"""Makes a bag of photographs or of a video: images as a camera's driver publishes them, with camera_info, for what reads bags only.
+"""Writes a bag from photographs or a video: images as a camera driver publishes them, with camera_info, for programs that only read bags.
 
 Must not import rclpy.
 """
@@ -34,13 +34,13 @@ from gibson_sim.types import NS_PER_S
 SUFFIXES = (".jpg", ".jpeg", ".png")
 """Suffixes of the photographs in a folder."""
 FIRST_STAMP_NS = NS_PER_S
-"""Stamp of the first image, ns: for ROS, a time of 0 is none."""
+"""Stamp of the first image, ns; not 0, which is an invalid time in ROS."""
 FOLDER_RATE_HZ = 5.0
 """Default rate of the images of a folder, Hz."""
 _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _MAX_FILE_BYTES = 256 * 2**20
 _ROUNDING_NS = 1_000_000
-"""Tolerance of the times of a video's frames, which are rounded, ns."""
+"""Tolerance of the rounded times of video frames, ns."""
 _TOPIC = re.compile(r"/[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
 _FRAME = re.compile(r"[\w/.-]{1,200}")
 U8 = NDArray[np.uint8]
@@ -48,12 +48,12 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """How the images are published, and what is known of their camera."""
+    """Topic and format of the images, and parameters of their camera."""
 
     topic: str = "/camera/image_raw"
-    """Topic of the images; camera_info stands beside it."""
+    """Topic of the images; camera_info is in the same namespace."""
     rate_hz: float | None = None
-    """Images a second: those of a folder were taken at this rate (None = 5); of a video at most so many are taken (None = all)."""
+    """Images per second: rate of the images of a folder (None = 5), maximum rate of the images of a video (None = all)."""
     frame: str = "camera_optical_frame"
     """Frame of the images."""
     hfov_deg: float | None = None
@@ -73,8 +73,8 @@ class CameraSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class MadeBag:
-    """What was written."""
+class WrittenBag:
+    """The written bag."""
 
     folder: Path
     images: int
@@ -82,31 +82,31 @@ class MadeBag:
     height: int
     """Size of each image, pixels."""
     seconds: float
-    """From the first image to the last."""
+    """Time from the first image to the last."""
     topics: tuple[str, str]
     """Topics of the images and of camera_info."""
     is_calibrated: bool
 
     def text(self) -> str:
         """Returns one line for a user."""
-        told = "" if self.is_calibrated else "; camera_info is not calibrated, --hfov DEG gives it a field of view"
+        hint = "" if self.is_calibrated else "; camera_info is not calibrated, --hfov DEG gives it a field of view"
         return (
             f"wrote {self.folder}: {self.images} images of {self.width}x{self.height} over {self.seconds:.2f} s on {self.topics[0]} "
-            f"and {self.topics[1]}{told}"
+            f"and {self.topics[1]}{hint}"
         )
 
 
-def write_bag(source: Path, folder: Path, settings: CameraSettings | None = None, advance: Advance = no_progress) -> MadeBag:
-    """Writes a bag of the images of a folder, in the order of their names (numbers by value), or of a video.
+def write_bag(source: Path, folder: Path, settings: CameraSettings | None = None, advance: Advance = no_progress) -> WrittenBag:
+    """Writes a bag of the images of a folder, in natural order of their names, or of a video.
 
     Args:
         source: folder of .jpg and .png files, or a video file.
-        folder: new folder of the bag; none remains if this fails.
-        settings: how the images are published.
-        advance: receives the part that is done.
+        folder: new folder of the bag; it is removed if this fails.
+        settings: topic, format and camera of the images.
+        advance: receives the completed fraction.
 
     Raises:
-        RecordError: there is no image, one cannot be read or has another size, or the bag cannot be written.
+        RecordError: there are no images, an image cannot be read or has another size, or the bag cannot be written.
     """
     settings = settings or CameraSettings()
     frames = _photographs(source, settings, advance) if reading.is_folder(source) else _video(source, settings, advance)
@@ -135,7 +135,7 @@ def write_bag(source: Path, folder: Path, settings: CameraSettings | None = None
             raise
     image_topic, info_topic = messages.types
     seconds = (last.stamp_ns - first.stamp_ns) / NS_PER_S
-    return MadeBag(folder, count, *size, seconds, (image_topic, info_topic), settings.hfov_deg is not None)
+    return WrittenBag(folder, count, *size, seconds, (image_topic, info_topic), settings.hfov_deg is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ def _photographs(folder: Path, settings: CameraSettings, advance: Advance) -> Ge
             data = reading.read_file(path, _MAX_FILE_BYTES)
         except OSError as error:
             raise RecordError(f"cannot read {path}: {error.strerror}") from error
-        bgr = decode_pixels(data, cv2.IMREAD_COLOR)  # turned as its EXIF data tell
+        bgr = decode_pixels(data, cv2.IMREAD_COLOR)  # rotated according to its EXIF data
         if bgr is None:
             raise RecordError(
                 f"{path} cannot be decoded as an image, or is too large; remove it from the folder or scale it down"
@@ -180,16 +180,16 @@ def _video(path: Path, settings: CameraSettings, advance: Advance) -> Generator[
             duration = float(container.duration or 0) / av.time_base
             period_ns = 0 if settings.rate_hz is None else NS_PER_S / settings.rate_hz
             begin_s: float | None = None
-            taken = 0
+            frame_count = 0
             before_ns = -1
             for number, frame in enumerate(container.decode(stream)):
                 if frame.time is None:
                     raise RecordError(f"{path} has frames without time; write it anew, or give its frames as a folder of images")
                 begin_s = frame.time if begin_s is None else begin_s
                 time_ns = round((frame.time - begin_s) * NS_PER_S)
-                if time_ns <= before_ns or time_ns < taken * period_ns - _ROUNDING_NS:
+                if time_ns <= before_ns or time_ns < frame_count * period_ns - _ROUNDING_NS:
                     continue
-                taken, before_ns = taken + 1, time_ns
+                frame_count, before_ns = frame_count + 1, time_ns
                 rgb = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90))
                 yield _Frame(FIRST_STAMP_NS + time_ns, np.ascontiguousarray(rgb), f"frame {number} of {path.name}")
                 advance(min(1.0, time_ns / NS_PER_S / duration) if duration > 0.0 else 0.0)
@@ -198,7 +198,7 @@ def _video(path: Path, settings: CameraSettings, advance: Advance) -> Generator[
 
 
 class _Messages:
-    """Turns frames into messages."""
+    """Converts frames to messages."""
 
     def __init__(self, settings: CameraSettings, size: tuple[int, int]) -> None:
         """``size``: (width, height), pixels."""
@@ -207,15 +207,15 @@ class _Messages:
         image = f"{settings.topic}/compressed" if settings.compressed else settings.topic
         info = f"{settings.topic.rpartition('/')[0]}/camera_info"
         self.types = {image: COMPRESSED if settings.compressed else IMAGE, info: _CAMERA_INFO}
-        """Type by topic: of the images, and of their camera_info."""
+        """Topic -> type: of the images, and of their camera_info."""
 
     def of(self, frame: _Frame) -> Iterator[tuple[str, bytes]]:
         """Yields the messages of a frame, each with its topic."""
         types = self._store.types
         stamp = types["builtin_interfaces/msg/Time"](sec=frame.stamp_ns // NS_PER_S, nanosec=frame.stamp_ns % NS_PER_S)
         header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=self._settings.frame)
-        made: tuple[Any, Any] = (self._image(header, frame.rgb), self._info(header))
-        for (topic, type_name), message in zip(self.types.items(), made, strict=True):
+        messages: tuple[Any, Any] = (self._image(header, frame.rgb), self._info(header))
+        for (topic, type_name), message in zip(self.types.items(), messages, strict=True):
             yield topic, bytes(self._store.serialize_cdr(message, type_name))
 
     def _image(self, header: Any, rgb: U8) -> Any:
@@ -240,5 +240,5 @@ class _Messages:
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:
-    """Returns a key that sorts frame2 before frame10."""
+    """Returns a sort key that sorts frame2 before frame10."""
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"([0-9]{1,30})", name) if part]

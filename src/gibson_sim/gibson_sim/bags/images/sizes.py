@@ -1,4 +1,4 @@
-"""Estimates the size of recorded images, for a user who decides how to record them. Pure."""
+"""Estimates the size of recorded images, as a basis for the choice of recording options. Pure."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _PIXEL_BYTES = {
     "rgb": 3, "depth": 4, "semantic": 2, "instance": 2, "normal": 12, "normal_world": 12, "position": 12, "flow": 8,
     "hole": 1,
 }  # fmt: skip
-"""Output of a camera -> bytes of a raw pixel."""
+"""Output of a camera -> size of a raw pixel, bytes."""
 _SMALLER = {"rgb": 14.0, "depth": 30.0, "semantic": 60.0, "instance": 60.0}
-"""Output -> how many times smaller its compressed form is in furnished rooms, about; the others have none."""
+"""Output -> approximate compression ratio in furnished rooms; the other outputs are not compressed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class ImageStream:
     rate_hz: float
 
     def bytes_per_s(self, form: ImageForm) -> float:
-        """Returns the bytes a second of simulation time; compressed ones are an estimate."""
+        """Returns the data rate, bytes per second of simulation time; an estimate for compressed images."""
         if form == "none":
             return 0.0
         raw = _PIXEL_BYTES.get(self.output, 4) * self.width * self.height * self.rate_hz
@@ -34,13 +34,13 @@ class ImageStream:
 
 
 def size_line(streams: Iterable[ImageStream], form: ImageForm, free_bytes: int, chunks: str = "none") -> str:
-    """Returns a line that says what the images of a recording take, how long the disk has room, and what would be smaller.
+    """Returns a line with the data rate of the images of a recording, the time until the disk is full, and smaller alternatives.
 
     Args:
-        streams: all images that are recorded, if each is drawn.
-        form: how they are recorded.
-        free_bytes: room for them on the disk.
-        chunks: compression of the bag's chunks, ``none`` if there is none.
+        streams: all recorded images, if each is rendered.
+        form: form in which they are recorded.
+        free_bytes: free space on the disk, bytes.
+        chunks: compression of the bag's chunks, or ``none``.
     """
     streams = tuple(streams)
     now, compressed, raw = (sum(s.bytes_per_s(f) for s in streams) for f in (form, "compressed", "raw"))

@@ -22,15 +22,15 @@ from gibson_sim.settings import nearest
 from gibson_sim.types import NS_PER_S
 
 _SAME_M = 0.005
-"""Greatest distance, m, of an estimate that is the ground truth itself, published as map -> odom."""
+"""Maximum distance of an estimate that counts as the ground truth, published as map -> odom, m."""
 _MAP_HEIGHT = 0.5
-"""Height above the floor up to which things of a scene count as obstacles, where the bag has no map, m."""
+"""Height above the floor up to which objects of a scene count as obstacles if the bag has no map, m."""
 _LARGEST = 1e10
-"""Limit of coordinates, velocities and times that are drawn, SI units; larger ones are damaged."""
+"""Maximum of coordinates, velocities and times that are drawn, SI units; larger values are damaged."""
 _QUIET = ("/parameter_events", "/rosout")
-"""Topics without a rate that every node has."""
+"""Topics of every node that have no rate."""
 _LEAST_ARRIVALS = 3
-"""Messages from which on a topic's rate is shown."""
+"""Minimum number of messages for which the rate of a topic is shown."""
 
 
 def load_run(folder: Path, robot: str = "") -> RecordedRun:

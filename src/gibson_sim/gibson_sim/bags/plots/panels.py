@@ -24,27 +24,27 @@ ESTIMATE_STYLE: tuple[str, dict[str, Any]] = ("estimate", {"linewidth": 1.6, "li
 _FLOOR_COLOURS = ((1.0, 1.0, 1.0), (0.61, 0.64, 0.69), (0.925, 0.933, 0.945))
 """Colours of a free, an occupied and an unknown cell."""
 _MARGIN_M = 1.0
-"""Least margin about the paths, metres."""
+"""Minimum margin about the paths, metres."""
 _WHOLE_MAP_M, _LARGE_MAP = 25.0, 4.0
-"""Size up to which a map is shown whole, metres; beyond, it is cropped to the paths if it is that many times as large as they are."""
+"""Maximum size of a map that is always shown whole, metres; a larger map is cropped to the paths if it is larger than they are by this factor."""
 _HOLD_S = 0.5
-"""Gap between commands, s, after which none is drawn."""
+"""Gap after a command, s, after which it is no longer drawn."""
 _MOST_CONTACTS, MOST_TOPICS = 12, 45
-"""Rows of contacts, and of topics."""
+"""Maximum number of rows of contacts, and of topics."""
 _MOST_BINS = 120
-"""Columns of the rates of topics."""
+"""Maximum number of columns of the rates of topics."""
 _LEAST_SPAN = 0.1
-"""Least height of an axis of velocities, m/s and rad/s: smaller motion is a robot that settles on its wheels."""
+"""Minimum height of a velocity axis, m/s and rad/s: smaller motion is a robot that settles on its wheels."""
 _MOVES = 0.01
-"""Velocity from which on a robot moves, m/s and rad/s."""
+"""Minimum velocity of a moving robot, m/s and rad/s."""
 _IDLE_SHARE, IDLE_MARGIN_S = 0.3, 2.0
-"""Share of a run from which on its idle end is left out of the panels of motion; time that is still shown of it, s."""
+"""Minimum share of a run for its idle end to be left out of the motion panels; duration of the idle end that is still shown, s."""
 _NORMAL, _MOST_RATE = 1.0, 1.8
-"""Rates as parts of the usual one: the usual one, and the one that is drawn darkest."""
+"""Rates relative to the usual rate: the usual one, and the one that is drawn darkest."""
 _SHADES = ("#ffffff", "#dbeafe", "#60a5fa", "#1e40af")
 """Colours of rates, from none to ``_MOST_RATE``."""
 _MARKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600)
-"""Times between marks along a path, s."""
+"""Intervals between time marks along a path, s."""
 
 
 def colours(run: RecordedRun) -> dict[str, str]:

@@ -10,9 +10,9 @@ from gibson_sim.bags.stamps import nominal_period_ns
 from gibson_sim.types import NS_PER_S
 
 _LEAST = 5
-"""Messages from which on a topic can have a rate."""
+"""Minimum number of messages for which a topic can have a rate."""
 _REGULAR_SHARE = 0.8
-"""Share of the steps of a topic with a rate that are one period long, give or take half of it."""
+"""Minimum share of intervals within half a period of one period, for a topic with a rate."""
 _EVENT_TYPES = (
     "geometry_msgs/msg/Twist",
     "geometry_msgs/msg/TwistStamped",
@@ -24,7 +24,7 @@ _EVENT_TYPES = (
 """Types sent when something happens, or by several nodes: no message of them is missing. /clock also comes with whatever else is published."""
 _EVENT_PACKAGES = ("rcl_interfaces/", "action_msgs/", "lifecycle_msgs/", "trajectory_msgs/", "visualization_msgs/")
 _FOREIGN_NS = 24 * 3600 * NS_PER_S
-"""Difference between stamps and log times from which on they are of different clocks, ns."""
+"""Minimum difference between stamps and log times for which they are of different clocks, ns."""
 
 
 def is_event(info: TopicInfo) -> bool:

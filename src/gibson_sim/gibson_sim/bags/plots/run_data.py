@@ -18,12 +18,12 @@ class Track:
     """Planar poses in one frame."""
 
     t: F64
-    """(N,), increasing, s."""
+    """Times, (N,), increasing, s."""
     x: F64
     y: F64
-    """(N,), metres."""
+    """Position, (N,), metres."""
     yaw: F64
-    """(N,), radians, unwrapped."""
+    """Heading, (N,), radians, unwrapped."""
     source: str
     """Topic or transforms that they come from."""
 
@@ -46,12 +46,12 @@ class Velocities:
     """Planar velocities in the base frame."""
 
     t: F64
-    """(N,), s."""
+    """Times, (N,), s."""
     forward: F64
     sideways: F64
-    """(N,), m/s."""
+    """Lateral velocity, (N,), m/s."""
     turning: F64
-    """(N,), rad/s."""
+    """Yaw rate, (N,), rad/s."""
     source: str
     """Topic that they come from."""
 
@@ -66,7 +66,7 @@ class RobotRun:
     odometry: Track | None
     """Laid onto the truth, or the estimate, at its start."""
     estimate: Track | None
-    """By a localiser: a pose topic, or the transform map -> odom."""
+    """Estimate of a localiser: a pose topic, or the transform map -> odom."""
     commands: Velocities | None
     by_wheels: Velocities | None
     in_truth: Velocities | None
@@ -83,7 +83,7 @@ class Floor:
     """The map below the paths."""
 
     cells: NDArray[np.int8]
-    """(rows, columns) as in nav_msgs/OccupancyGrid: 0 free to 100 occupied, -1 unknown; row 0 has the lowest y."""
+    """Cells, (rows, columns), as in nav_msgs/OccupancyGrid: 0 free to 100 occupied, -1 unknown; row 0 has the lowest y."""
     resolution: float
     """Edge of a cell, metres."""
     origin: tuple[float, float]
@@ -105,7 +105,7 @@ class Arrivals:
 
     topic: str
     t: F64
-    """(N,), log times, s, increasing."""
+    """Log times, (N,), s, increasing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +123,6 @@ class RecordedRun:
     tells_contacts: bool
     """Whether the bag has topics that tell contacts."""
     arrivals: tuple[Arrivals, ...]
-    """Of topics that are not latched, by name."""
+    """Arrivals of topics that are not latched, sorted by name."""
     notes: tuple[str, ...] = ()
-    """What is left out and why, one sentence each."""
+    """Omitted data with reasons, one sentence each."""

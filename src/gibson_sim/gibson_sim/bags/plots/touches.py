@@ -10,13 +10,13 @@ from gibson_sim.bags.reader import BagReader, TopicInfo
 
 COLLISIONS, CONTACTS, BUMPER = "gibson_msgs/msg/CollisionCount", "gibson_msgs/msg/Contacts", "std_msgs/msg/Bool"
 _PAUSE_S = 0.15
-"""Longest interruption of a contact within one touch, s: bodies chatter, and contacts are published at 30 Hz."""
+"""Maximum interruption within one contact, s: bodies chatter, and contacts are published at 30 Hz."""
 _PRESS_S = 0.5
 """Shortest contact that is called pressing, s; a shorter one is a touch."""
 _WALL_TIME_NS = 10**18
 """Log time, ns, from which on it is wall time: September 2001."""
 _STANDING_NORMAL = 0.7
-"""Least vertical component of the normal of what a robot stands on, where no collision count tells the two apart."""
+"""Minimum vertical component of the contact normal of a supporting surface, for bags without collision counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Touch:
     end: float
     """Time of the last contact, s."""
     force: float = 0.0
-    """Greatest normal force at one contact point, N; 0 = unknown."""
+    """Maximum normal force at one contact point, N; 0 = unknown."""
     movable: bool = False
     """Whether the other thing is a body that physics moves, and not a static shape."""
     lasts: bool = False

@@ -51,7 +51,7 @@ class BaseServo(NamedTuple):
     """
 
     traction: float
-    """Greatest force along the floor, as a fraction of the load on the wheels."""
+    """Maximum force along the floor, as a fraction of the load on the wheels."""
     reach: float
     """Distance from the base's origin to the wheels, metres: the lever arm of that force."""
 

@@ -28,13 +28,13 @@ Matrix3 = tuple[float, float, float, float, float, float, float, float, float]
 _NONE: Planar = (0.0, 0.0, 0.0)
 
 _LEAST_POSE = 1e-6
-"""Least variance of the pose, m^2 and rad^2: a robot settles on its wheels by less than 1 mm and 1 mrad. Filters divide by variances."""
+"""Minimum variance of the pose, m^2 and rad^2: a robot settles on its wheels by less than 1 mm and 1 mrad. Filters divide by variances."""
 _LEAST_SPEED = 1e-6
-"""Least variance of the forward speed, (m/s)^2."""
+"""Minimum variance of the forward speed, (m/s)^2."""
 _LEAST_SIDEWAYS = 1e-5
-"""Least variance of the speed across the wheels, (m/s)^2: contacts in the engine yield, and heavy robots that skid are pushed by some mm/s."""
+"""Minimum variance of the speed across the wheels, (m/s)^2: contacts in the engine yield, and heavy robots that skid are pushed by some mm/s."""
 _LEAST_YAW_RATE = 1e-6
-"""Least variance of the yaw rate, (rad/s)^2."""
+"""Minimum variance of the yaw rate, (rad/s)^2."""
 _ROLLING = 0.002
 """Fraction of the motion by which wheels roll wrongly in the engine, whose contacts yield a little."""
 _PIECE_M, _PIECE_RAD = 0.01, 0.02

@@ -21,9 +21,9 @@ DEFAULT_SPEED = 1.0
 _GAIN_PER_S = 50.0
 """Speed per radian (metre) of distance from the setpoint, 1/s: a lag vanishes within 0.1 s."""
 _LEAD_S = 0.1
-"""Greatest time that a setpoint is ahead of a joint that something holds back, s."""
+"""Maximum time that a setpoint is ahead of a joint that something holds back, s."""
 _UNLIMITED_SPEED = 100.0
-"""Greatest speed under an effort command of a joint without a velocity limit, rad/s or m/s."""
+"""Maximum speed under an effort command of a joint without a velocity limit, rad/s or m/s."""
 ARRIVED = 1e-3
 """Distance from the goal at which a motion is over, radians or metres."""
 _ROUNDING = 1e-6

@@ -129,7 +129,7 @@ class GripperOutcome:
     position: float
     """Mean of all fingers, radians or metres."""
     effort: float
-    """Greatest of all fingers, N or N m."""
+    """Maximum of all fingers, N or N m."""
     stalled: bool
     """Whether something blocks them."""
     reached_goal: bool

@@ -43,7 +43,7 @@ _FAR = 0.3
 _ROTATION_WEIGHT = 0.5
 """Weight of rotation against translation, m/rad."""
 _MAX_STEP = 0.5
-"""Greatest motion of a joint in an iteration, radians or metres."""
+"""Maximum motion of a joint in an iteration, radians or metres."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,7 @@ class ServoSettings:
     timeout: float = 0.25
     """Seconds of simulation time after which a command is stale and the arm stops."""
     damping: float = 0.05
-    """Greatest damping, at a singularity; metres and radians."""
+    """Maximum damping, at a singularity; metres and radians."""
     singular: float = 0.08
     """Singular value of the Jacobian below which damping begins."""
     homing: float = 0.5

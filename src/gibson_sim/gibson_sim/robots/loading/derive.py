@@ -31,11 +31,11 @@ DESCRIPTION_SUFFIXES = (".urdf", ".xacro")
 _FLOOR = 0.005
 """Distance from the floor at which the root counts as on it, metres."""
 _LEAST_DROP, _MAX_DROP = 0.001, 0.03
-"""Least and greatest height of wheels above the floor that is corrected, metres; more is an error in the file."""
+"""Minimum and maximum height of wheels above the floor that is corrected, metres; more is an error in the file."""
 _HULL_MARGIN = 0.001
 """Thickness that the engine adds to the convex hulls of meshes, metres."""
 _MAX_RAISE = 0.01
-"""Greatest distance of a body from the floor by which its two wheels are raised so that it stands on it, metres."""
+"""Maximum distance of a body from the floor by which its two wheels are raised so that it stands on it, metres."""
 _TOUCHES = 0.01
 """Height above the lowest point of the wheels below which a link counts as touching the floor, metres."""
 _GRIP = 1.0
@@ -44,11 +44,11 @@ _MAX_STEERING_DEG = 30.0
 """Limit for steering joints that have none."""
 _MECANUM = re.compile(r"mecanum|mechanum", re.IGNORECASE)
 _LEAST_TRACK = 0.02
-"""Least distance of a left wheel from a right one, metres."""
+"""Minimum distance of a left wheel from a right one, metres."""
 _LEAST_LEG_JOINTS = 2
 """Turning joints of a leg, at least."""
 _LEG_TOLERANCE = 0.05
-"""Greatest difference of the heights of feet with all joints at 0, metres."""
+"""Maximum difference of the heights of feet with all joints at 0, metres."""
 _HELD = 0.1
 """Distance of the feet of a robot that is held from the floor, metres."""
 _BY_HAND = "write a robot.yaml with the drive that it has (docs/robots.md)"

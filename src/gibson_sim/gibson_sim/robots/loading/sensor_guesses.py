@@ -27,7 +27,7 @@ _SENSOR_PARTS = re.compile(r"(_(link|frame|sensor|laser|scan))+$", re.IGNORECASE
 """The same for a lidar."""
 _NOT_ROS = re.compile(r"[^A-Za-z0-9_]+")
 _MAX_GUESSED = 4
-"""Greatest number of cameras, and of lidars, that are guessed."""
+"""Maximum number of cameras, and of lidars, that are guessed."""
 _MIN_BEAMS, _MIN_FOV, _MIN_RANGE = 32, math.radians(45.0), 1.5
 """What a ray sensor of Gazebo has at least if it is a lidar, and not an infrared or cliff sensor: rays, radians, metres."""
 _TURN = 2.0 * math.pi

@@ -16,11 +16,11 @@ from gibson_sim.robots.loading.drive import ALIGNED
 _LEVEL = 0.14
 """Sine of the largest angle between the axis of a wheel and the floor."""
 _ROUND = 0.15
-"""Greatest deviation of the outline of a wheel from a circle about its axis, as a fraction of its radius."""
+"""Maximum deviation of the outline of a wheel from a circle about its axis, as a fraction of its radius."""
 _SAME = 0.03
-"""Greatest difference of the two wheels of a pair in x and in z, metres."""
+"""Maximum difference of the two wheels of a pair in x and in z, metres."""
 _LIFT = 0.2
-"""Greatest height of a wheel above the lowest one, as a fraction of its radius."""
+"""Maximum height of a wheel above the lowest one, as a fraction of its radius."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,11 +63,11 @@ class Flattened:
     slabs: tuple[Slab, ...]
     """Interior of all floors."""
     vertices: F64
-    """(V, 3), metres: the original vertices, with those of floors moved to the height of the floor."""
+    """Vertex positions, (V, 3), metres: those of the original mesh, with the vertices of floors moved to the height of the floor."""
     triangles: I64
-    """(F, 3), rows of ``vertices``: triangles that the slabs do not replace."""
+    """Vertex indices of the triangles that the slabs do not replace, (F, 3)."""
     flat: Bools
-    """(V,), whether a vertex was moved to the height of a floor."""
+    """Mask of the vertices that were moved to the height of a floor, (V,)."""
 
 
 def flatten_floors(vertices: F64, triangles: I64) -> Flattened:

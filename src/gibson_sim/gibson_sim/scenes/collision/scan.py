@@ -34,9 +34,9 @@ class SimplifiedScan:
     slabs: tuple[Slab, ...]
     """Boxes of the floors."""
     vertices: F64 = field(repr=False)
-    """(V, 3), vertices of the other geometry, metres."""
+    """Vertex positions of the other geometry, (V, 3), metres."""
     triangles: I64 = field(repr=False)
-    """(F, 3), rows of ``vertices``."""
+    """Vertex indices of the triangles, (F, 3)."""
     error: float
     """Maximum distance of the sample points of each geometry from the other, metres."""
     before: int

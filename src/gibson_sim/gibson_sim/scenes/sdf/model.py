@@ -53,7 +53,7 @@ class IncludedModel:
 
     model: Element
     T_parent_model: F64
-    """(4, 4)."""
+    """Pose in the frame of the parent, (4, 4)."""
     file: Path
     name: str
     """Name in the <include>, else that of the model, else that of its folder."""
