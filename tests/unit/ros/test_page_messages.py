@@ -15,7 +15,7 @@ from sensor_msgs.msg import Image, JointState, LaserScan  # noqa: E402
 
 from gibson_sim.ros.web.message_fields import number_at, number_fields, parse_path  # noqa: E402
 from gibson_sim.ros.web.plot_subscriptions import plottable  # noqa: E402
-from gibson_sim.ros.web.video_subscriptions import picture_of  # noqa: E402
+from gibson_sim.ros.web.video_subscriptions import bgr_image  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -36,7 +36,7 @@ def test_a_number_is_found_by_its_path_and_nothing_else_is() -> None:
     for path in ("ranges[2]", "ranges", "header.frame_id", "header", "nothing", "get_fields_and_field_types", "angle_min[0]"):
         assert number_at(scan, parse_path(path)) is None, path
     for path in ("", "__class__", "ranges[-1]", "a..b", "a[0][1]", "ranges[1", "x." * 20 + "x", "A"):
-        with pytest.raises(ValueError, match="is no field"):
+        with pytest.raises(ValueError, match="is not a field path"):
             parse_path(path)
 
 
@@ -76,7 +76,7 @@ def _filtered(encoding: str, color: tuple[int, int, int], kind: type, scale: int
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
 def test_bayer_patterns_are_drawn_in_their_colours(pattern: str) -> None:
     for bits, kind, scale in ((8, np.uint8, 1), (16, np.uint16, 256)):
-        picture = picture_of(_filtered(f"bayer_{pattern}{bits}", (200, 100, 40), kind, scale))
+        picture = bgr_image(_filtered(f"bayer_{pattern}{bits}", (200, 100, 40), kind, scale))
         assert picture is not None and picture[4, 4].tolist() == [40, 100, 200]
 
 
@@ -96,11 +96,11 @@ def test_yuv_is_drawn_in_its_colours(encoding: str, order: tuple[int, ...]) -> N
     else:
         chroma = np.tile(np.array([u, v] if encoding == "nv12" else [v, u], np.uint8), 16)
         image = Image(encoding=encoding, width=8, height=8, step=8, data=bytes([y]) * 64 + chroma.tobytes())
-    picture = picture_of(image)
+    picture = bgr_image(image)
     assert picture is not None and np.abs(picture[4, 4].astype(int) - (40, 100, 200)).max() < 12, picture[4, 4]
 
 
 def test_images_with_too_few_bytes_or_an_odd_size_are_not_drawn() -> None:
     for encoding in ("bayer_rggb8", "yuv422", "nv12", "bayer_rggb16"):
-        assert picture_of(Image(encoding=encoding, width=8, height=8, step=8, data=b"1234")) is None
-        assert picture_of(Image(encoding=encoding, width=7, height=7, step=32, data=b"1" * 1000)) is None
+        assert bgr_image(Image(encoding=encoding, width=8, height=8, step=8, data=b"1234")) is None
+        assert bgr_image(Image(encoding=encoding, width=7, height=7, step=32, data=b"1" * 1000)) is None

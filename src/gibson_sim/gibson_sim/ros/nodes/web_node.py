@@ -1,4 +1,4 @@
-"""The web node: serves the live page, which shows and drives the robots of a ROS domain by standard topics and services alone."""
+"""The web node: serves the live page, which shows and drives the robots of a ROS domain through standard topics and services only."""
 
 from __future__ import annotations
 
@@ -53,53 +53,57 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _MANY = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LATCHED_MANY = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_FAST_S, _SLOW_S = 0.1, 1.0
-"""Seconds of wall time between poses, and between looks at the graph, the entities and the state."""
-_GAP_S = 2.0
-"""Seconds after which a diagnosis is old."""
+_FAST_PERIOD_S, _SLOW_PERIOD_S = 0.1, 1.0
+"""Periods at which poses are sent, and the graph, the entities and the state are queried, s of wall time."""
+_STALE_S = 2.0
+"""Age after which a diagnostic status is dropped, s of wall time."""
 
 
 class WebNode(Node):
     """Serves the live page.
 
     Publishes:
-        <robot>/cmd_vel (geometry_msgs/Twist, or TwistStamped where that is all that has subscribers): while a page drives.
+        <robot>/cmd_vel (geometry_msgs/Twist, or TwistStamped if all its subscribers use that): while a page drives.
         <robot>/goal_pose (geometry_msgs/PoseStamped), <robot>/initialpose (geometry_msgs/PoseWithCovarianceStamped): clicks on the map.
         object_joint_command (sensor_msgs/JointState): doors and drawers that a page opens.
 
     Subscribes:
-        images (sensor_msgs/Image, CompressedImage): those that a page watches, while it does.
-        any topic that a page plots, while it does.
-        map, /tf, /tf_static, /clock, /diagnostics, object_joint_states; of each robot odom, ground_truth/odom, scan, plan, amcl_pose;
+        image topics (sensor_msgs/Image, CompressedImage), while a page shows them; any topic, while a page plots it.
+        map, /tf, /tf_static, /clock, /diagnostics, object_joint_states; for each robot odom, ground_truth/odom, scan, plan, amcl_pose;
         scene and scene_state while a page shows the scene in 3-D; the topics of ``TaskView``.
 
-    Starts, where a page asks for it, a record node and a task node, and ends them when it ends.
+    On request of a page, it starts a record node and a task node, which end with it.
 
-    Services used: those of ``simulation_interfaces``, where a simulation offers them; a real robot has none, and is shown and driven all the same.
+    Services used: those of ``simulation_interfaces``, if a simulation offers them; real robots, which do not, are shown and driven as well.
 
     Parameters: the fields of ``gibson_sim.client_config.WebConfig``.
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Starts the server. ``kwargs`` go to ``rclpy.node.Node``."""
+        """Starts the server. ``kwargs`` go to ``rclpy.node.Node``.
+
+        Raises:
+            GibsonSimError: a setting is invalid, or the server cannot listen on its address.
+        """
         super().__init__("web", **kwargs)
         config = config_from_parameters(self, WebConfig)
-        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        """What the server's thread wants to be done here."""
+        self._calls: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        """Calls that the server's thread has scheduled in the node's thread."""
         self._warned: set[str] = set()
         self._tree = TransformTree()
         self._robots: dict[str, Robot] = {}
-        """By namespace, sorted: "", the robot without one, is the first."""
+        """Namespace -> robot, sorted: a robot without a namespace is the first."""
         self._places: dict[str, tuple[float, float]] = {}
-        """Entity -> its place on the map, m."""
-        self._known: dict[str, str] = {}
+        """Entity -> x, y on the map, m."""
+        self._image_topics: dict[str, str] = {}
+        """Image topic -> type."""
         self._watched: frozenset[str] = frozenset()
         self._clock_ns: int | None = None
         self._factor = RealTimeFactor()
         self._state = "connected"
-        self._diagnoses: dict[str, tuple[dict[str, Any], float]] = {}
-        self._told: dict[str, Any] = {}
-        """What pages were told last of what seldom changes."""
+        self._diagnostics: dict[str, tuple[dict[str, Any], float]] = {}
+        self._sent: dict[str, Any] = {}
+        """Kind of rarely changing values -> values that pages received last."""
         self._floor_z = 0.0
         self._map_version = 0
         self._simulation = SimulationClient(self)
@@ -111,45 +115,45 @@ class WebNode(Node):
         self.subscribe(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _MANY)
         token = "" if config.host in LOOPBACK else config.token or secrets.token_urlsafe(16)
         self._server = PageServer(_Backend(self), config.host, config.port, token)
-        self._videos = VideoSubscriptions(self, self._server.send_image, partial(self._tell_changed, "problems"))
+        self._videos = VideoSubscriptions(self, self._server.send_image, partial(self._send_if_changed, "problems"))
         self._plots = PlotSubscriptions(self)
         self._doors = Doors(self)
         self._task = TaskView(self, self._simulation)
         self._scene = SceneStream(self, self._server)
         note_in_job(PAGE, self._server.url)
-        if not started_by_launcher():  # which prints it once all is ready
+        if not started_by_launcher():  # the launcher prints it once all nodes are ready
             print(f"look: {self._server.url}", file=sys.stderr, flush=True)
 
     def spin(self) -> int:
-        """Works until the process is asked to end; returns the exit code."""
+        """Serves until the end of the process is requested; returns the exit code."""
         executor = make_executor()
         executor.add_node(self)
-        fast = slow = 0.0
+        next_fast = next_slow = 0.0
         while is_running():
             executor.spin_once(timeout_sec=0.02)
-            while not self._asked.empty():
-                self.guarded("a request of a page", self._asked.get())
+            while not self._calls.empty():
+                self.guarded("a request of a page", self._calls.get())
             now = time.monotonic()
-            if now >= fast:
-                fast = now + _FAST_S
-                self.guarded("what moves", self._tell_often)
-                self._simulation.look()
-            if now >= slow:
-                slow = now + _SLOW_S
-                self.guarded("the graph", self._look)
+            if now >= next_fast:
+                next_fast = now + _FAST_PERIOD_S
+                self.guarded("the robots", self._send_moving)
+                self._simulation.check_pending()
+            if now >= next_slow:
+                next_slow = now + _SLOW_PERIOD_S
+                self.guarded("the graph", self._poll)
         return 0
 
     def close(self) -> None:
-        """Ends the server; a robot that a page drives is stopped, a recording and a task that a page has started are ended."""
+        """Ends the server; stops robots that pages drive, and ends the recording and the task that pages have started."""
         self._server.close()
-        while not self._asked.empty():
-            self._asked.get()()
+        while not self._calls.empty():
+            self._calls.get()()
         self._task.close()
         self._recorder.close()
         self._server.join()
 
     def guarded(self, what: str, function: Callable[[], None]) -> None:
-        """Calls a function; a message that cannot be shown is left out, with one warning: any node may publish anything, and the page goes on."""
+        """Calls a function; if it fails on data that cannot be shown, logs one warning for each ``what``: nodes may publish invalid data."""
         try:
             function()
         except (GibsonSimError, ValueError, ArithmeticError, RecursionError, cv2.error, yaml.YAMLError) as error:
@@ -158,21 +162,21 @@ class WebNode(Node):
                 self.get_logger().warning(f"{what} cannot be shown: {str(error).splitlines()[0]}")
 
     def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any, *, raw: bool = False) -> Any:
-        """Subscribes; a message that cannot be shown is left out with one warning for each topic."""
+        """Subscribes to a topic; skips messages that cannot be shown, with one warning per topic."""
         return self.create_subscription(
             kind, topic, lambda msg: self.guarded(f"a message on {topic}", lambda: callback(msg)), profile, raw=raw
         )
 
-    def do_soon(self, function: Callable[[], None]) -> None:
-        """Has a function called in the node's thread; may be called from any."""
-        self._asked.put(function)
+    def call_soon(self, function: Callable[[], None]) -> None:
+        """Schedules a call in the node's thread; thread-safe."""
+        self._calls.put(function)
 
     # Requests of pages
 
     def watch(self, topics: frozenset[str]) -> None:
-        """Subscribes to the videos that pages watch."""
+        """Subscribes to the image topics and the scene that pages show."""
         self._watched = topics
-        self._videos.update(topics, self._known)
+        self._videos.update(topics, self._image_topics)
         self._scene.update(SCENE in topics)
 
     def drive(self, command: Drive) -> None:
@@ -182,15 +186,15 @@ class WebNode(Node):
             robot.drive(command)
 
     def plot(self, curves: frozenset[CurveName]) -> None:
-        """Subscribes to what pages plot."""
+        """Subscribes to the topics of the curves that pages plot."""
         self._plots.update(curves)
 
     def handle_request(self, request: Request, answer: Answer) -> None:
-        """Does what a page asks for."""
+        """Executes a request of a page; ``answer`` is called once it is done."""
         if isinstance(request, Goal):
             robot = self._robot(request.robot)
-            answer(*(robot.send(request) if robot is not None else (False, "there is no robot")))
-        elif isinstance(request, Spawn) and request.uri not in {thing["uri"] for thing in self._told.get("catalogue", ())}:
+            answer(*(robot.send(request) if robot is not None else (False, "the domain has no robot")))
+        elif isinstance(request, Spawn) and request.uri not in {entry["uri"] for entry in self._sent.get("catalogue", ())}:
             answer(False, f"{quoted(request.uri)} is not in the catalogue")
         elif isinstance(request, Plot):
             answer(True, "", (time.monotonic(), self._plots.curves.history(request.curves)))
@@ -202,12 +206,12 @@ class WebNode(Node):
             self._record(request, answer)
         elif isinstance(request, RunTask):
             self._task.ask(request, answer)
-            self._tell_changed("task", self._task.shown())
+            self._send_if_changed("task", self._task.page_values())
         else:
             self._simulation.ask(request, self._floor_z, partial(self._answered, answer))
 
     def _robot(self, name: str) -> Robot | None:
-        """Returns a robot by its namespace; the first one where the page names none."""
+        """Returns the robot with a namespace, or the first robot if ``name`` is empty."""
         return self._robots.get(name) if name else next(iter(self._robots.values()), None)
 
     def _record(self, request: Record, answer: Answer) -> None:
@@ -223,16 +227,16 @@ class WebNode(Node):
                 answer(False, f"nothing is recorded: {error}")
             else:
                 answer(True, f"recording into {folder}")
-        self._tell_changed("recording", self._recorder.shown())
+        self._send_if_changed("recording", self._recorder.page_values())
 
     def _answered(self, answer: Answer, ok: bool, text: str) -> None:
-        """Answers a page, and shows what has become of the simulation without waiting for the next look."""
+        """Answers a page, and updates the state of the simulation without waiting for the next poll."""
         answer(ok, text)
         self._simulation.get("get_simulation_state", GetSimulationState.Request(), self._on_new_state)
 
     def _on_new_state(self, response: Any) -> None:
         self._on_state(response)
-        self._tell_status()
+        self._send_status()
 
     # Messages
 
@@ -267,86 +271,86 @@ class WebNode(Node):
         for status in msg.status:
             level = int.from_bytes(status.level, "little") if isinstance(status.level, bytes) else int(status.level)
             values = [[pair.key, pair.value] for pair in status.values]
-            self._diagnoses[status.name] = (
+            self._diagnostics[status.name] = (
                 {"name": status.name, "level": level, "message": status.message, "values": values}, now,
             )  # fmt: skip
 
-    # What pages are told
+    # Data for pages
 
-    def _tell_often(self) -> None:
-        """Tells what moves."""
-        found: list[dict[str, Any]] = []
+    def _send_moving(self) -> None:
+        """Sends poses, scans, paths, estimates, doors and curves to pages."""
+        robots: list[dict[str, Any]] = []
         points: list[tuple[float, float]] = []
         for name, robot in list(self._robots.items()):
-            if not robot.is_there:
-                self._robots.pop(name).close()  # at once: another world may have been loaded
+            if not robot.is_present:
+                self._robots.pop(name).close()  # immediately: another world may have been loaded
                 continue
-            self.guarded(f"robot {name or 'robot'}", partial(self._add_robot, robot, found, points))
-        self._server.broadcast("robots", found, keep=True)
+            self.guarded(f"robot {name or 'robot'}", partial(self._add_robot, robot, robots, points))
+        self._server.broadcast("robots", robots, keep=True)
         self._server.broadcast("scan", points, keep=True)
-        self._tell_changed("paths", [robot.path for robot in self._robots.values() if robot.path])
-        self._tell_changed("estimates", [robot.estimate for robot in self._robots.values() if robot.estimate is not None])
-        self._tell_changed("doors", self._doors.listed(self._places))
+        self._send_if_changed("paths", [robot.path for robot in self._robots.values() if robot.path])
+        self._send_if_changed("estimates", [robot.estimate for robot in self._robots.values() if robot.estimate is not None])
+        self._send_if_changed("doors", self._doors.page_values(self._places))
         self._plots.end_listings()
         if self._plots.curves.names:
             now = time.monotonic()
             self._server.send_samples(now, self._plots.curves.pop_new(now))
 
-    def _add_robot(self, robot: Robot, found: list[dict[str, Any]], points: list[tuple[float, float]]) -> None:
-        """Adds what a page shows of a robot."""
-        shown = robot.shown(self._tree)
-        if shown is not None:
-            found.append(shown[0])
-            points += shown[1]
+    def _add_robot(self, robot: Robot, robots: list[dict[str, Any]], points: list[tuple[float, float]]) -> None:
+        """Appends the values of a robot for pages, and the points of its scan."""
+        values = robot.page_values(self._tree)
+        if values is not None:
+            robots.append(values[0])
+            points += values[1]
 
-    def _look(self) -> None:
-        """Looks at the graph and asks the simulation how it is."""
+    def _poll(self) -> None:
+        """Queries the graph, and requests the state of the simulation."""
         graph = self.get_topic_names_and_types()
         self._update_robots(graph)
         if not self.count_publishers(names.CLOCK):
-            self._clock_ns = None  # a simulation has ended; a robot has its own time
+            self._clock_ns = None  # the simulation has ended, or there is none
             self._factor.clear()
-        known = dict(image_topics(graph))
-        if known != self._known:
-            self._known = known
-            self._videos.update(self._watched, known)
-            self._server.broadcast("topics", [{"topic": topic, "label": label_of(topic)} for topic in known], keep=True)
+        topics = dict(image_topics(graph))
+        if topics != self._image_topics:
+            self._image_topics = topics
+            self._videos.update(self._watched, topics)
+            self._server.broadcast("topics", [{"topic": topic, "label": label_of(topic)} for topic in topics], keep=True)
         self._plots.types = plottable(graph)
-        self._plots.look()
-        self._tell_changed("plottable", list(self._plots.types))
-        self._tell_changed("recording", self._recorder.shown())
-        self._tell_changed("task", self._task.shown())
-        if self._simulation.is_there():
-            self._simulation.get_rate(lambda rate: self._tell_changed("rate", rate))
-            for service, request, then in (
+        self._plots.update_subscriptions()
+        self._send_if_changed("plottable", list(self._plots.types))
+        self._send_if_changed("recording", self._recorder.page_values())
+        self._send_if_changed("task", self._task.page_values())
+        if self._simulation.is_available():
+            self._simulation.get_rate(lambda rate: self._send_if_changed("rate", rate))
+            for service, request, on_response in (
                 ("get_simulation_state", GetSimulationState.Request(), self._on_state),
                 ("get_entities_states", GetEntitiesStates.Request(), self._on_entities),
                 ("get_named_poses", GetNamedPoses.Request(), self._on_places),
                 ("get_spawnables", GetSpawnables.Request(), self._on_catalogue),
             ):
-                self._simulation.get(service, request, partial(self._on_answer, service, then))
+                self._simulation.get(service, request, partial(self._on_response, service, on_response))
         else:
             self._state = "connected"
             self._places = {}
             for kind in ("entities", "places", "catalogue"):
-                self._tell_changed(kind, [])
+                self._send_if_changed(kind, [])
         now = self.stamp()
         self._server.drop_stale_images(now.sec + now.nanosec / NS_PER_S)
-        self._tell_status()
+        self._send_status()
 
-    def _tell_status(self) -> None:
+    def _send_status(self) -> None:
         now = time.monotonic()
-        diagnoses = [values for values, at in self._diagnoses.values() if now - at < _GAP_S]
+        diagnostics = [values for values, at in self._diagnostics.values() if now - at < _STALE_S]
         time_s = None if self._clock_ns is None else self._clock_ns / NS_PER_S
         factor = None if time_s is None else self._factor.add(now, time_s)
         self._server.broadcast(
-            "status", {"state": self._state, "time": time_s, "factor": factor, "diagnostics": diagnoses}, keep=True
+            "status", {"state": self._state, "time": time_s, "factor": factor, "diagnostics": diagnostics}, keep=True
         )
 
     def _update_robots(self, graph: list[tuple[str, list[str]]]) -> None:
         for name in sorted(robots_in(graph) - set(self._robots)):
             robot = Robot(self, name)
-            if robot.is_there:
+            if robot.is_present:
                 self._robots[name] = robot
                 robot.advertise()
             else:
@@ -355,42 +359,42 @@ class WebNode(Node):
         for robot in self._robots.values():
             robot.choose_type()
 
-    def _on_answer(self, service: str, then: Callable[[Any], None], response: Any) -> None:
-        """Shows the answer of a service, whatever simulator gave it."""
-        self.guarded(f"the answer of {service}", partial(then, response))
+    def _on_response(self, service: str, on_response: Callable[[Any], None], response: Any) -> None:
+        """Handles the response of a service, which may be that of any simulator."""
+        self.guarded(f"the response of {service}", partial(on_response, response))
 
     def _on_state(self, response: Any) -> None:
         self._state = STATES.get(response.state.state, "unknown")
 
     def _on_entities(self, response: Any) -> None:
-        found = []
+        entities = []
         self._places = {}
         for name, state in zip(response.entities, response.states, strict=False):
             p = state.pose.position
             if math.isfinite(p.x + p.y):
                 self._places[name] = (p.x, p.y)
-                found.append(
+                entities.append(
                     {"name": name, "x": p.x, "y": p.y, "robot": name in self._robots or name.rpartition("/")[2] == "robot"}
                 )
-        self._tell_changed("entities", found)
+        self._send_if_changed("entities", entities)
 
     def _on_places(self, response: Any) -> None:
         places = [{"name": p.name, "x": p.pose.position.x, "y": p.pose.position.y} for p in response.poses]
-        self._tell_changed("places", places)
+        self._send_if_changed("places", places)
 
     def _on_catalogue(self, response: Any) -> None:
-        things = [
+        entries = [
             {"uri": s.uri, "name": s.uri.rpartition("/")[2], "robot": s.description == "robot"} for s in response.spawnables
         ]
-        self._tell_changed("catalogue", sorted(things, key=lambda thing: thing["name"]))
+        self._send_if_changed("catalogue", sorted(entries, key=lambda entry: entry["name"]))
 
-    def _tell_changed(self, kind: str, values: Any) -> None:
-        if self._told.get(kind) != values:
-            self._told[kind] = values
+    def _send_if_changed(self, kind: str, values: Any) -> None:
+        if self._sent.get(kind) != values:
+            self._sent[kind] = values
             self._server.broadcast(kind, values, keep=True)
 
     def stamp(self) -> Any:
-        """Returns the time now: of the simulation where there is one."""
+        """Returns the present time: simulation time if there is a /clock."""
         ns = self._clock_ns
         if ns is None:
             return self.get_clock().now().to_msg()
@@ -400,22 +404,22 @@ class WebNode(Node):
 
 
 class _Backend:
-    """Hands what pages ask for to the node's thread."""
+    """Forwards requests of pages to the node's thread."""
 
     def __init__(self, node: WebNode) -> None:
         self._node = node
 
     def watch(self, topics: frozenset[str]) -> None:
-        self._node.do_soon(partial(self._node.watch, topics))
+        self._node.call_soon(partial(self._node.watch, topics))
 
     def plot(self, curves: frozenset[CurveName]) -> None:
-        self._node.do_soon(partial(self._node.plot, curves))
+        self._node.call_soon(partial(self._node.plot, curves))
 
     def drive(self, command: Drive) -> None:
-        self._node.do_soon(partial(self._node.drive, command))
+        self._node.call_soon(partial(self._node.drive, command))
 
     def handle_request(self, request: Request, answer: Answer) -> None:
-        self._node.do_soon(partial(self._node.handle_request, request, answer))
+        self._node.call_soon(partial(self._node.handle_request, request, answer))
 
 
 def main(args: list[str] | None = None) -> None:

@@ -1,1 +1,1 @@
-"""The trial node, which speaks to the stack under test, and the server that starts nodes quickly."""
+"""The trial node, which communicates with the stack under test, and the server that starts nodes quickly."""

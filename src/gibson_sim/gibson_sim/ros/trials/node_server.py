@@ -1,8 +1,8 @@
-"""The node server: forks processes of nodes that have their modules loaded already, and starts programs beside them.
+"""The node server: forks node processes with preloaded modules, and starts other programs.
 
-A node takes a second of processor time to import its modules; a fork of this process takes milliseconds. Requests come as packets on a
-socket that ``trials.execution.node_server`` holds. When that socket closes, however its holder ended, all that was started here is ended.
-Orphans become children of this process (PR_SET_CHILD_SUBREAPER, prctl(2)), so that it finds those that changed their environment, too.
+A node needs a second of CPU time to import its modules; a fork of this process takes milliseconds. Requests arrive as packets on a socket
+that ``trials.execution.node_server`` owns. When that socket closes, even if its owner crashed, all processes started by the server are ended.
+Orphans become children of this process (PR_SET_CHILD_SUBREAPER, prctl(2)), so that it finds also those that changed their environment.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from gibson_sim.standard.simulator import Simulator
 from gibson_sim.trials.execution.node_server import SOCKET_VARIABLE
 
 PRELOADED = ("nodes.physics_node", "nodes.record_node", "trials.trial_node")
-"""Modules of nodes whose imports every fork has."""
+"""Node modules that are imported before any fork."""
 _SCENE = "arena"
-"""A small scene, with which the physics engine is loaded."""
+"""Name of a small scene that is loaded to initialize the physics engine."""
 _TYPES = (
     "builtin_interfaces/msg/Time",
     "control_msgs/msg/DynamicJointState",
@@ -76,31 +76,31 @@ _TYPES = (
     "trajectory_msgs/msg/JointTrajectory",
 )
 """Message types that nodes of trials publish or record."""
-_LARGEST = 1 << 20
-"""Largest packet, bytes."""
-_PATIENCE_S = 3.0
-"""Wall time that processes have to end after SIGTERM, seconds."""
+_MAX_PACKET_BYTES = 1 << 20
+"""Maximum size of a packet, bytes."""
+_END_TIMEOUT_S = 3.0
+"""Timeout for the end of processes after a signal, s of wall time."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
-"""Options of prctl(2)."""
+"""Numbers of options of prctl(2)."""
 Task = Callable[[], None]
 
 
 class NodeServer:
-    """Starts processes on request, and reports those that ended. One thread, so that it may fork at any time."""
+    """Starts processes on request, and reports ended ones. Single-threaded, so that it can fork at any time."""
 
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
         self._names: dict[int, str] = {}
-        """Process id -> the name that the request gave it."""
+        """Process ID -> name of the process in its request."""
         self._markers: set[tuple[str, str]] = set()
-        """Environment variables, with their values, of programs that were started."""
+        """Environment variables, with values, that mark the started programs."""
         self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(self._woken)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def serve(self) -> Task | None:
-        """Serves until the socket closes. Returns None then; in a forked process, what that process is to do."""
+        """Serves until the socket closes. Returns None then; in a forked process, returns the task of that process."""
         while True:
             requests = self._requests.fileno()
             ready = select.select([requests, self._wake], [], [])[0]
@@ -108,7 +108,7 @@ class NodeServer:
                 os.read(self._wake, 4096)
                 self._reap()
             if requests in ready:
-                data, descriptors, _, _ = socket.recv_fds(self._requests, _LARGEST, 1)
+                data, descriptors, _, _ = socket.recv_fds(self._requests, _MAX_PACKET_BYTES, 1)
                 if not data:
                     self._end_all()
                     return None
@@ -138,7 +138,7 @@ class NodeServer:
         return lambda: _run_node(request["module"], request["arguments"])
 
     def _become(self, request: dict[str, Any], output: int) -> None:
-        """Turns a fork into a process of its own: session, environment, output, folder."""
+        """Sets up a forked process: session, signals, environment, output, working directory."""
         os.setsid()
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
@@ -147,10 +147,10 @@ class NodeServer:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         for descriptor in (self._requests.fileno(), self._wake, self._woken):
             os.close(descriptor)
-        nothing = os.open(os.devnull, os.O_RDONLY)
-        for number, descriptor in enumerate((nothing, output, output)):
+        null = os.open(os.devnull, os.O_RDONLY)
+        for number, descriptor in enumerate((null, output, output)):
             os.dup2(descriptor, number)
-        os.close(nothing)
+        os.close(null)
         os.close(output)
         for name, value in request["environment"].items():
             if value is None:
@@ -162,7 +162,7 @@ class NodeServer:
         os.chdir(request["folder"])
 
     def _reap(self) -> None:
-        """Reports the processes that have ended."""
+        """Reaps ended child processes, and reports those that were requested."""
         while True:
             try:
                 process_id, status, usage = os.wait4(-1, os.WNOHANG)
@@ -171,22 +171,22 @@ class NodeServer:
             if not process_id:
                 return
             name = self._names.pop(process_id, "")
-            if name:  # else an orphan of one of them
+            if name:  # otherwise it is an orphan of a requested process
                 self._report(name, os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime)
 
     def _report(self, name: str, code: int, cpu_s: float) -> None:
-        """Tells that a process has ended."""
+        """Reports the end of a process, with its exit code and CPU time, s."""
         try:
             self._requests.send(json.dumps({"ended": name, "code": code, "cpu_s": cpu_s}).encode())
-        except OSError:  # the holder has ended, which the next read tells
+        except OSError:  # the owner of the socket has ended, which the next read detects
             return
 
     def _end_all(self) -> None:
-        """Ends all that was started here, and what came of it."""
+        """Ends all started processes and their descendants."""
         for number in (signal.SIGTERM, signal.SIGKILL):
             for process_id in self._names:
                 _signal_group(process_id, number)
-            deadline = time.monotonic() + _PATIENCE_S
+            deadline = time.monotonic() + _END_TIMEOUT_S
             while self._names and time.monotonic() < deadline:
                 self._reap()
                 time.sleep(0.02)
@@ -213,7 +213,7 @@ def _run_program(command: list[str]) -> NoReturn:
 
 
 def _run_node(module: str, arguments: list[str]) -> NoReturn:
-    """Runs a node, and ends this process without the end of its interpreter, which would copy and free all that it shares with the server."""
+    """Runs a node, and ends this process without finalizing the interpreter, which would copy and free all memory shared with the server."""
     from gibson_sim.ros.nodes.start import run
 
     sys.argv = [module, *arguments]
@@ -235,28 +235,28 @@ def _run_node(module: str, arguments: list[str]) -> NoReturn:
 
 
 def _load() -> None:
-    """Loads what nodes load later than their modules: the engine's compiled loops, support for message types, their definitions."""
+    """Preloads node modules, and what nodes load later: compiled loops of the engine, type support and definitions of messages."""
     for name in PRELOADED:
         import_module(f"gibson_sim.ros.{name}")
     import_module("rosidl_generator_py")
-    inspect.getmodule(inspect.currentframe())  # lists the files of all modules, as rclpy does for its first line of log
+    inspect.getmodule(inspect.currentframe())  # fills the cache of module files, which rclpy's first log line would do
     definitions = MessageDefinitions()
     for kind in _TYPES:
         try:
             type(message_class(kind)).__import_type_support__()
             definitions.type_hash(kind)
-        except (*UNKNOWN, RecordError):  # the node that needs it tells so
+        except (*UNKNOWN, RecordError):  # a node that needs the type reports it
             continue
     try:
         simulator = Simulator(populate(_SCENE, "gibson_bot", ""), PhysicsConfig(scene=_SCENE))
         simulator.step()
         simulator.close()
-    except GibsonSimError:  # the package has no scenes
+    except GibsonSimError:  # the scene is not in the package
         return
 
 
 def main() -> None:
-    """Runs the server; in a forked process, the node."""
+    """Runs the server; in a forked process, runs the node."""
     requests = socket.socket(fileno=int(os.environ.pop(SOCKET_VARIABLE)))
     os.set_inheritable(requests.fileno(), False)
     logging.disable(logging.WARNING)

@@ -1,8 +1,9 @@
-"""The trial node: sets a run of a trial up, gives the stack under test its goal, and ends the run at a definite tick.
+"""The trial node: sets up a run of a trial, sends the goal to the stack under test, and ends the run at a reproducible tick.
 
-It uses only public interfaces: it spawns and moves with simulation_interfaces, and speaks to the stack by its topics, services and actions. The
-rules by which a run ends are in ``gibson_sim.trials.execution.monitor``. In lockstep the goal is given before the first tick if the stack can
-be ready without time passing, and the run ends at a tick that this node never reports as done: no step follows.
+It uses only public interfaces: it spawns and moves entities with simulation_interfaces, and communicates with the stack by its topics,
+services and actions. The rules by which a run ends are in ``gibson_sim.trials.execution.monitor``. In lockstep the goal is sent before the
+first tick if the stack gets ready while time stands still, and the run ends at a tick that this node does not report as done, so that no step
+follows.
 """
 
 from __future__ import annotations
@@ -46,55 +47,57 @@ from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, perso
 from gibson_sim.trials.records import REFUSED_GOAL, PlanarPose
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
 
-OURS = frozenset({"physics", "render", "record", "_record_intake", "trial"})
-"""Names of the nodes of a trial beside the stack's."""
+SIMULATOR_NODES = frozenset({"physics", "render", "record", "_record_intake", "trial"})
+"""Names of the nodes of a trial that do not belong to the stack."""
 STANDSTILL_S = 3.0
-"""Wall time that a stack whose goal can be given has to be ready while time stands still, seconds; then time passes, as its sensors may need."""
+"""Timeout for the readiness of the stack while time stands still, from when the goal can be sent, s of wall time; then time starts to pass,
+since the sensors of the stack may need it."""
 SETTLED_S = 0.3
-"""Wall time without new topics after which a stack counts as discovered, seconds."""
-IDLE_LOOKS = 5
-"""Looks in a row, a tenth of a second apart and without a tick between, at which no process of the stack worked: then one that has told
-its end sends no more commands."""
+"""Time without new topics after which a stack counts as discovered, s of wall time."""
+IDLE_CHECKS = 5
+"""Number of consecutive checks, ``_POLL_S`` apart and without a tick between them, at which no process of the stack ran, after which a stack
+that has reported its end counts as idle."""
 _ANSWER_S = 20.0
-"""Wall time that the simulation has to answer a request, seconds."""
+"""Minimum timeout for a response of the simulation, s of wall time."""
 _MATCHED_S = 0.5
-"""Wall time in which the stack discovers the publishers of images, seconds."""
+"""Time in which the stack discovers the publishers of images, s of wall time."""
 _ACKNOWLEDGED_S = 1.0
-"""Wall time that a message has to arrive, seconds."""
-_LOOK_S = 0.1
-"""Period of looking at the ROS graph, seconds of wall time."""
+"""Timeout for the acknowledgement of a message, s of wall time."""
+_POLL_S = 0.1
+"""Period of the checks of the ROS graph and of processes, s of wall time."""
 _PROGRESS_S = 0.5
-"""Period of reports of progress, seconds of wall time."""
+"""Period of progress reports, s of wall time."""
 _HANDLES = ("handle", "lever", "knob")
-"""Ends of the names of joints that open nothing."""
+"""Suffixes of the names of joints that belong to handles, not to doors."""
 _OK = sim_msg.Result.RESULT_OK
 _ACTIVE = 3
-"""lifecycle_msgs/State.PRIMARY_STATE_ACTIVE."""
+"""Value of lifecycle_msgs/State.PRIMARY_STATE_ACTIVE."""
 _SUCCEEDED = 4
-"""action_msgs/GoalStatus.STATUS_SUCCEEDED."""
+"""Value of action_msgs/GoalStatus.STATUS_SUCCEEDED."""
 
 
 class TrialNode(Node):
-    """Runs one run of a trial.
+    """Executes one run of a trial.
 
     Parameters: the fields of ``gibson_sim.client_config.TrialConfig``.
 
     Subscribes:
-        ground_truth/odom (nav_msgs/Odometry): every tick, and where the robot is. scene (gibson_msgs/Scene, latched): cameras.
-        The stack's topic of readiness, and its status (std_msgs/String).
+        ground_truth/odom (nav_msgs/Odometry): the ticks, and the pose of the robot. scene (gibson_msgs/Scene, latched): cameras.
+        The topics by which the stack reports its readiness and its status (std_msgs/String).
 
     Publishes:
         The initial pose (geometry_msgs/PoseWithCovarianceStamped) and the goal (geometry_msgs/PoseStamped), both latched, once each.
         object_joint_command (sensor_msgs/JointState): closes doors.
 
     Calls:
-        spawn_entity, set_entity_state, set_simulation_state; the stack's service or action of the goal, and ``get_state`` of its node.
+        spawn_entity, set_entity_state, set_simulation_state; the service or action of the stack for the goal, and ``get_state`` of its node.
     """
 
     def __init__(self, **kwargs: Any) -> None:
         """Reads the plan. ``kwargs`` go to ``rclpy.node.Node``.
 
         Raises:
+            ConfigError: the goal does not fit the type of the service or action.
             EnvironmentProblemError: a message type of the stack is not installed.
         """
         super().__init__("trial", **kwargs)
@@ -103,27 +106,27 @@ class TrialNode(Node):
         self._monitor = RunMonitor(plan)
         self._report = TrialReport()
         self._decision: Decision | None = None
-        self._began_s = self._last_tick_s = time.monotonic()
-        self._plays = self._ready = False
+        self._start_s = self._last_tick_s = time.monotonic()
+        self._is_playing = self._ready = False
         self._ticks = 0
-        self._idle_looks, self._looked_s = 0, 0.0
-        """Looks in a row at which no process of the stack worked, and when the last one was, seconds of CLOCK_MONOTONIC."""
+        self._idle_checks, self._checked_s = 0, 0.0
+        """Number of consecutive checks at which no process of the stack ran, and monotonic time of the last check, s."""
         self._busy: set[int] = set()
-        """Processes of the run that have worked at each of these looks: they may not have seen the stack's last answer."""
-        self._told_s = 0.0
-        """When the progress was told last."""
-        self._graph: tuple[set[str], float] = (set(), self._began_s)
-        """All that was discovered, and since when there is nothing else, seconds of CLOCK_MONOTONIC."""
+        """IDs of the other processes of the run that ran at each of these checks: they may not have received the last answer of the stack."""
+        self._reported_s = 0.0
+        """Monotonic time of the last progress report, s."""
+        self._graph: tuple[set[str], float] = (set(), self._start_s)
+        """All discovered names, and monotonic time since which they have not changed, s."""
         self._scene: Any = None
         self._doors: dict[str, float] | None = None
-        """Joints of doors to close, and where they are closed, radians or metres; None = not known yet."""
+        """Joint of a door to close -> its closed position, rad or m; None = not known yet."""
         self._ready_topic = _ReadyTopic(self, plan.ready.topic) if plan.ready.topic else None
         self._executor = make_executor()
         self._executor.add_node(self)
         self._make_interfaces()
         self._goal = _goal_of(self, plan, self._monitor)
         self._initial_pub = self._publisher(PoseWithCovarianceStamped, plan.initial_pose.topic)
-        self._initial_given = False
+        self._initial_sent = False
         self._lockstep = LockstepParticipant(self) if plan.lockstep else None
 
     def _make_interfaces(self) -> None:
@@ -150,16 +153,16 @@ class TrialNode(Node):
         return self.create_publisher(kind, topic, qos.LATCHED) if topic else None
 
     def spin(self) -> int:
-        """Runs the run; returns 0.
+        """Executes the run; returns 0.
 
         Raises:
-            GibsonSimError: the simulation refuses what the run needs.
+            GibsonSimError: the simulation refuses a request that the run needs.
         """
         self._set_up()
-        self._make_ready()
+        self._wait_until_ready()
         while is_running() and self._decision is None:
             self._executor.spin_once(timeout_sec=0.1)
-            self._tell_progress()
+            self._report_progress()
             if self._lockstep is not None and self._decision is None:
                 silence_s = time.monotonic() - self._last_tick_s
                 if silence_s > self._plan.limits.silence or (self._monitor.end_was_reported and self._is_idle(silence_s)):
@@ -167,17 +170,17 @@ class TrialNode(Node):
         return 0
 
     def _is_idle(self, silence_s: float) -> bool:
-        """Returns whether time waits for a stack that does nothing; one that is only slow would end the run at a tick that chance decides."""
+        """Returns whether time waits for a stack that is idle; ending the run while the stack is only slow would not be reproducible."""
         now_s = time.monotonic()
-        if silence_s < _LOOK_S:
-            self._idle_looks = 0
-        elif now_s - self._looked_s >= _LOOK_S:
-            self._looked_s = now_s
-            if self._idle_looks == 0:
+        if silence_s < _POLL_S:
+            self._idle_checks = 0
+        elif now_s - self._checked_s >= _POLL_S:
+            self._checked_s = now_s
+            if self._idle_checks == 0:
                 self._busy = set(siblings())
             self._busy = {process_id for process_id in self._busy if any_runs([process_id])}
-            self._idle_looks = 0 if any_runs(marked(self._plan.marker, MARKER)) else self._idle_looks + 1
-        return self._idle_looks >= IDLE_LOOKS and not self._busy
+            self._idle_checks = 0 if any_runs(marked(self._plan.marker, MARKER)) else self._idle_checks + 1
+        return self._idle_checks >= IDLE_CHECKS and not self._busy
 
     # Before the first tick
 
@@ -191,9 +194,11 @@ class TrialNode(Node):
         if run.closed_doors:
             self._wait(lambda: self._doors is not None, "message on object_joint_states")
             assert self._doors is not None
-            self._wait(lambda: _others(self, self._door_pub.topic_name, ours={"physics"}), "simulation that closes doors")
+            self._wait(
+                lambda: _has_subscriber(self, self._door_pub.topic_name, among={"physics"}), "simulation that closes doors"
+            )
             self._door_pub.publish(JointState(name=list(self._doors), position=list(self._doors.values())))
-            _acknowledged(self._door_pub)
+            _wait_for_acknowledgement(self._door_pub)
 
     def _spawn_at(self, name: str, uri: str, text: str, pose: PlanarPose, z: float) -> None:
         request = srv.SpawnEntity.Request(name=name)
@@ -204,44 +209,44 @@ class TrialNode(Node):
         self._call(self._spawn, request)
 
     def _on_joints(self, msg: Any) -> None:
-        wanted, found = self._plan.run.closed_doors, {}
+        bodies, closed_positions = self._plan.run.closed_doors, {}
         for name, row in zip(msg.joint_names, msg.interface_values, strict=True):
-            if name.partition("/")[0] in wanted and not name.endswith(_HANDLES):
+            if name.partition("/")[0] in bodies and not name.endswith(_HANDLES):
                 values = dict(zip(row.interface_names, row.values, strict=True))
-                found[name] = min(max(0.0, values["lower"]), values["upper"])
-        self._doors = found
+                closed_positions[name] = min(max(0.0, values["lower"]), values["upper"])
+        self._doors = closed_positions
 
-    def _make_ready(self) -> None:
-        """Waits until the stack is ready, and gives it its initial pose and its goal; time stands still meanwhile if that is possible."""
+    def _wait_until_ready(self) -> None:
+        """Waits until the stack is ready, and sends its initial pose and its goal; time stands still meanwhile if possible."""
         limit_s = self._plan.ready.within
-        there_s = math.inf
+        available_s = math.inf
         while is_running() and self._decision is None:
             missing = self._missing()
             if not missing:
-                self._become_ready()
+                self._on_ready()
                 return
             now_s = time.monotonic()
-            if now_s - self._began_s > limit_s:
+            if now_s - self._start_s > limit_s:
                 text = f"after {limit_s:g} s of wall time there is {' and '.join(missing)}"
                 self._decision = Decision("never ready", text, self._monitor.now_ns)
                 return
-            there_s = min(there_s, now_s) if self._goal.is_there() else math.inf
-            if now_s - there_s > STANDSTILL_S and not self._plays:
+            available_s = min(available_s, now_s) if self._goal.is_available() else math.inf
+            if now_s - available_s > STANDSTILL_S and not self._is_playing:
                 self._play()
-            self._spin_until(lambda: False, _LOOK_S)
-            self._tell_progress()
+            self._spin_until(lambda: False, _POLL_S)
+            self._report_progress()
 
     def _missing(self) -> list[str]:
-        """Returns what the stack lacks, in words; gives the initial pose on the way, which it may need for the rest."""
+        """Returns descriptions of what the stack still lacks; sends the initial pose as soon as possible, since the rest may depend on it."""
         ready, missing = self._plan.ready, []
         if not self._is_settled():
-            missing.append("still a new topic every moment")
-        if not self._goal.is_there():
-            missing.append(f"no {self._goal.what}")
+            missing.append("no stable ROS graph")
+        if not self._goal.is_available():
+            missing.append(f"no {self._goal.description}")
         elif not missing:
             if not self._plan.goal_from_ns:
-                self._give_initial_pose()
-            self._offer_images()
+                self._send_initial_pose()
+            self._request_images()
         if self._ready_topic is not None and not self._ready_topic.is_met():
             missing.append(f"no message on {quoted(ready.topic)}")
         if ready.service and not self._has_service(ready.service):
@@ -251,23 +256,23 @@ class TrialNode(Node):
         return missing
 
     def _is_settled(self) -> bool:
-        """Returns whether nothing has appeared for a moment: no topic, and none who waits for the goal or the initial pose."""
-        found, now_s = {name for name, _ in self.get_topic_names_and_types()}, time.monotonic()
-        found |= {"goal"} if self._goal.is_there() else set()
-        found |= {"initial pose"} if self._takes_initial_pose() else set()
-        before, since_s = self._graph
-        self._graph = (found, since_s if found == before else now_s)
+        """Returns whether discovery has settled: no new topic, and no new receiver of the goal or the initial pose for ``SETTLED_S``."""
+        present, now_s = {name for name, _ in self.get_topic_names_and_types()}, time.monotonic()
+        present |= {"goal"} if self._goal.is_available() else set()
+        present |= {"initial pose"} if self._has_initial_pose_subscriber() else set()
+        previous, since_s = self._graph
+        self._graph = (present, since_s if present == previous else now_s)
         return now_s - self._graph[1] >= SETTLED_S
 
-    def _takes_initial_pose(self) -> bool:
+    def _has_initial_pose_subscriber(self) -> bool:
         """Returns whether the stack subscribes to an initial pose."""
-        return self._initial_pub is not None and _others(self, self._initial_pub.topic_name)
+        return self._initial_pub is not None and _has_subscriber(self, self._initial_pub.topic_name)
 
-    def _give_initial_pose(self) -> None:
+    def _send_initial_pose(self) -> None:
         publisher = self._initial_pub
-        if self._initial_given or publisher is None or not self._takes_initial_pose():
+        if self._initial_sent or publisher is None or not self._has_initial_pose_subscriber():
             return
-        self._initial_given = True
+        self._initial_sent = True
         run, spec = self._plan.run, self._plan.initial_pose
         x, y, yaw = _composed(run.start, run.initial_error)
         message = PoseWithCovarianceStamped(header=conversions.header_to_msg(max(0, self._monitor.now_ns), WORLD_FRAME))
@@ -277,13 +282,13 @@ class TrialNode(Node):
         covariance[35] = math.radians(spec.sigma_yaw_deg) ** 2
         message.pose.covariance = covariance
         publisher.publish(message)
-        _acknowledged(publisher)
+        _wait_for_acknowledgement(publisher)
 
     def _has_service(self, name: str) -> bool:
-        return any(found == self.resolve_service_name(name) for found, _ in self.get_service_names_and_types())
+        return self.resolve_service_name(name) in {service for service, _ in self.get_service_names_and_types()}
 
     def _is_active(self) -> bool:
-        """Returns whether the lifecycle node has said that it is active; asks it again and again."""
+        """Returns whether the lifecycle node has reported that it is active; requests its state repeatedly until then."""
         client: Any = self._lifecycle
         future = self._lifecycle_future
         if future is not None and future.done():
@@ -293,22 +298,22 @@ class TrialNode(Node):
             self._lifecycle_future = client.call_async(client.srv_type.Request())
         return self._was_active
 
-    def _become_ready(self) -> None:
-        """Gives the goal now if time stands still and it may be given at once, else at the first tick that is late enough."""
+    def _on_ready(self) -> None:
+        """Sends the goal now if time stands still and the goal has no earliest time; otherwise a later tick sends it."""
         self._ready = True
         if self._plan.goal_from_ns:
             self._play()
-        elif not self._plays:
+        elif not self._is_playing:
             self._monitor.give_goal(0)
-            self._goal.give(0)
+            self._goal.send(0)
             self._spin_until(self._goal.is_accepted, STANDSTILL_S)
             self._play()
 
     def _play(self) -> None:
-        """Lets time pass."""
+        """Starts the simulation."""
         request = srv.SetSimulationState.Request(state=sim_msg.SimulationState(state=sim_msg.SimulationState.STATE_PLAYING))
         self._call(self._set_state, request)
-        self._plays = True
+        self._is_playing = True
         self._last_tick_s = time.monotonic()
 
     # Images
@@ -316,24 +321,25 @@ class TrialNode(Node):
     def _on_scene(self, msg: Any) -> None:
         self._scene = msg
 
-    def _offer_images(self) -> None:
-        """Has a render node started if the stack subscribes to images that none publishes, and waits until it takes part."""
-        if self._scene is None or self._plays:
+    def _request_images(self) -> None:
+        """Requests a render node if the stack subscribes to images of cameras, and waits until it publishes and has joined lockstep."""
+        if self._scene is None or self._is_playing:
             return
-        wanted = [
+        subscribed = [
             topic
             for camera in self._scene.cameras
             for topic in names.image_topics(camera.name, camera.outputs)
-            if _others(self, self.resolve_topic_name(topic))
+            if _has_subscriber(self, self.resolve_topic_name(topic))
         ]
-        if not wanted:
+        if not subscribed:
             return
         note_in_job(IMAGES, "")
-        self._wait(lambda: all(self.count_publishers(topic) for topic in wanted), f"publisher of {wanted[0]}")
+        self._wait(lambda: all(self.count_publishers(topic) for topic in subscribed), f"publisher of {subscribed[0]}")
         if self._lockstep is not None:
-            done = self.resolve_topic_name(names.TICK_DONE)
+            tick_done = self.resolve_topic_name(names.TICK_DONE)
             self._wait(
-                lambda: any(p.node_name == "render" for p in self.get_publishers_info_by_topic(done)), "render node in lockstep"
+                lambda: any(p.node_name == "render" for p in self.get_publishers_info_by_topic(tick_done)),
+                "render node in lockstep",
             )
         self._spin_until(lambda: False, _MATCHED_S)
 
@@ -346,17 +352,17 @@ class TrialNode(Node):
         if self._decision is not None:
             return
         if self._ready and self._monitor.goal_ns < 0 and stamp_ns >= self._plan.goal_from_ns:
-            self._give_initial_pose()
+            self._send_initial_pose()
             self._monitor.give_goal(stamp_ns)
-            self._goal.give(stamp_ns)
+            self._goal.send(stamp_ns)
         p, q, v = msg.pose.pose.position, msg.pose.pose.orientation, msg.twist.twist
         yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
         self._decision = self._monitor.tick(stamp_ns, (p.x, p.y, yaw), math.hypot(v.linear.x, v.linear.y), v.angular.z)
         if self._decision is not None:
-            return  # in lockstep time stands still from here on
+            return  # in lockstep, time stands still from now on
         self._ticks += 1
         if self._plan.run.people and self._ticks % PERIOD_TICKS == 0:
-            self._walk(stamp_ns, partial(self._tick_done, msg.header.stamp))
+            self._move_people(stamp_ns, partial(self._tick_done, msg.header.stamp))
         else:
             self._tick_done(msg.header.stamp)
 
@@ -364,15 +370,15 @@ class TrialNode(Node):
         if self._lockstep is not None:
             self._lockstep.tick_done(stamp)
 
-    def _walk(self, stamp_ns: int, then: Callable[[], None]) -> None:
-        """Places all people, and calls ``then`` once the simulation has answered."""
+    def _move_people(self, stamp_ns: int, on_end: Callable[[], None]) -> None:
+        """Moves all people to their poses at a stamp, and calls ``on_end`` once the simulation has responded to all requests."""
         people = self._plan.run.people
         pending = set(range(len(people)))
 
-        def answered(number: int, _: Any) -> None:
+        def on_response(number: int, _: Any) -> None:
             pending.discard(number)
             if not pending:
-                then()
+                on_end()
 
         for number, person in enumerate(people):
             request = srv.SetEntityState.Request(entity=person.name)
@@ -380,7 +386,7 @@ class TrialNode(Node):
             request.state.pose = conversions.pose_to_msg(_pose(person_pose(person, stamp_ns / NS_PER_S)))
             if hasattr(request, "set_pose"):
                 request.set_pose = True
-            self._place.call_async(request).add_done_callback(partial(answered, number))
+            self._place.call_async(request).add_done_callback(partial(on_response, number))
 
     # Waiting
 
@@ -388,41 +394,41 @@ class TrialNode(Node):
         """Calls a service of the simulation.
 
         Raises:
-            GibsonSimError: it does not answer, or refuses.
+            GibsonSimError: the service does not respond, or refuses the request.
         """
         self._wait(client.service_is_ready, f"service {client.srv_name}")
         future = client.call_async(request)
-        self._wait(future.done, f"answer of {client.srv_name}")
+        self._wait(future.done, f"response of {client.srv_name}")
         result = future.result().result
         if result.result != _OK:
             raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
 
-    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+    def _wait(self, condition: Callable[[], bool], awaited: str) -> None:
         limit_s = max(_ANSWER_S, self._plan.ready.within)
         if not self._spin_until(condition, limit_s):
             if not is_running():
                 raise KeyboardInterrupt
-            raise GibsonSimError(f"waited {limit_s:g} s for the {what}")
+            raise GibsonSimError(f"waited {limit_s:g} s for the {awaited}")
 
-    def _spin_until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Returns whether a condition came true within so many seconds of wall time."""
-        deadline_s = time.monotonic() + seconds
+    def _spin_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Spins until a condition holds, or for ``timeout_s`` of wall time; returns whether the condition holds."""
+        deadline_s = time.monotonic() + timeout_s
         while is_running() and not condition():
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0.0:
+            remaining_s = deadline_s - time.monotonic()
+            if remaining_s <= 0.0:
                 return False
-            self._executor.spin_once(timeout_sec=min(0.02, left_s))
+            self._executor.spin_once(timeout_sec=min(0.02, remaining_s))
         return condition()
 
-    def _tell_progress(self) -> None:
+    def _report_progress(self) -> None:
         now_s = time.monotonic()
-        if now_s - self._told_s > _PROGRESS_S:
-            self._told_s = now_s
+        if now_s - self._reported_s > _PROGRESS_S:
+            self._reported_s = now_s
             note_in_job(PROGRESS, self._monitor.progress)
             note_in_job(CLOCK, str(self._monitor.now_ns))
 
     def close(self) -> None:
-        """Writes the report. It does not leave lockstep: time stands still until the simulation ends."""
+        """Writes the report. The node does not leave lockstep, so that time stands still until the simulation ends."""
         report, decision, monitor = self._report, self._decision, self._monitor
         if decision is not None:
             report.end, report.detail, report.decided_ns = decision.end, decision.detail, decision.decided_ns
@@ -432,14 +438,14 @@ class TrialNode(Node):
 
 
 class _ReadyTopic:
-    """Waits for the first message of a topic of any type."""
+    """Waits for the first message on a topic of any type."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self._node, self._topic = node, topic
         self._subscribed = self._received = False
 
     def is_met(self) -> bool:
-        """Returns whether a message has arrived; subscribes once there is a publisher."""
+        """Returns whether a message has arrived; subscribes once the topic has a publisher."""
         publishers = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
         if not self._subscribed and publishers:
             self._subscribed = True
@@ -454,71 +460,71 @@ class _ReadyTopic:
 
 
 class _TopicGoal:
-    """A goal on a topic."""
+    """Sends the goal on a topic."""
 
     def __init__(self, node: Node, topic: str, message: Callable[[int], PoseStamped]) -> None:
         self._node, self._message = node, message
         self._publisher = node.create_publisher(PoseStamped, topic, qos.LATCHED)
-        self.what = f"subscriber of {self._publisher.topic_name}, on which the goal is given (key stack.goal)"
+        self.description = f"subscriber of {self._publisher.topic_name}, on which the goal is given (key stack.goal)"
 
-    def is_there(self) -> bool:
-        """Returns whether the stack subscribes to it, and gets what is published from now on."""
-        return _others(self._node, self._publisher.topic_name) and is_fully_matched(self._node, self._publisher)
+    def is_available(self) -> bool:
+        """Returns whether the stack subscribes to the topic, and is matched."""
+        return _has_subscriber(self._node, self._publisher.topic_name) and is_fully_matched(self._node, self._publisher)
 
-    def give(self, stamp_ns: int) -> None:
-        """Publishes the goal, and waits until it has arrived."""
+    def send(self, stamp_ns: int) -> None:
+        """Publishes the goal, and waits until it is acknowledged."""
         self._publisher.publish(self._message(stamp_ns))
-        _acknowledged(self._publisher)
+        _wait_for_acknowledgement(self._publisher)
 
     def is_accepted(self) -> bool:
-        """Returns True: a topic has no answer."""
+        """Returns True: a topic has no response."""
         return True
 
 
 class _ServiceGoal:
-    """A goal in the request of a service."""
+    """Sends the goal in the request of a service."""
 
     def __init__(self, node: Node, kind: Any, name: str, fill: Callable[[Any, int], Any]) -> None:
         self._client, self._fill, self._kind = node.create_client(kind, name), fill, kind
         self._future: Any = None
-        self.what = f"service {self._client.srv_name}"
+        self.description = f"service {self._client.srv_name}"
 
-    def is_there(self) -> bool:
-        """Returns whether the service is there."""
+    def is_available(self) -> bool:
+        """Returns whether the service is available."""
         return bool(self._client.service_is_ready())
 
-    def give(self, stamp_ns: int) -> None:
+    def send(self, stamp_ns: int) -> None:
         """Sends the request."""
         self._future = self._client.call_async(self._fill(self._kind.Request(), stamp_ns))
 
     def is_accepted(self) -> bool:
-        """Returns whether the service has answered."""
+        """Returns whether the service has responded."""
         return self._future is not None and bool(self._future.done())
 
 
 class _ActionGoal:
-    """A goal of an action, whose result ends the run."""
+    """Sends the goal to an action, whose result ends the run."""
 
     def __init__(self, node: Node, kind: Any, name: str, fill: Callable[[Any, int], Any], monitor: RunMonitor) -> None:
         self._client, self._fill, self._kind, self._monitor = ActionClient(node, kind, name), fill, kind, monitor
-        self._answered = False
-        self.what = f"action {node.resolve_service_name(name)}"
+        self._responded = False
+        self.description = f"action {node.resolve_service_name(name)}"
 
-    def is_there(self) -> bool:
-        """Returns whether the action is there."""
+    def is_available(self) -> bool:
+        """Returns whether the action is available."""
         return bool(self._client.server_is_ready())
 
-    def give(self, stamp_ns: int) -> None:
+    def send(self, stamp_ns: int) -> None:
         """Sends the goal."""
         future = self._client.send_goal_async(self._fill(self._kind.Goal(), stamp_ns))
         future.add_done_callback(self._on_response)
 
     def is_accepted(self) -> bool:
-        """Returns whether the action has answered."""
-        return self._answered
+        """Returns whether the action server has accepted or rejected the goal."""
+        return self._responded
 
     def _on_response(self, future: Any) -> None:
-        self._answered = True
+        self._responded = True
         handle = future.result()
         if not handle.accepted:
             self._monitor.receive_result(False, REFUSED_GOAL)
@@ -532,16 +538,16 @@ class _ActionGoal:
 
 
 def _goal_of(node: Node, plan: TrialPlan, monitor: RunMonitor) -> _TopicGoal | _ServiceGoal | _ActionGoal:
-    """Returns how the goal of a plan is given.
+    """Returns the sender of the goal of a plan.
 
     Raises:
-        GibsonSimError: the type is not installed, or has no such field of type PoseStamped.
+        GibsonSimError: the type is not installed, or the field is not a PoseStamped.
     """
 
     def message(stamp_ns: int) -> PoseStamped:
-        made = PoseStamped(header=conversions.header_to_msg(stamp_ns, WORLD_FRAME))
-        made.pose = conversions.pose_to_msg(_pose(plan.run.goal))
-        return made
+        msg = PoseStamped(header=conversions.header_to_msg(stamp_ns, WORLD_FRAME))
+        msg.pose = conversions.pose_to_msg(_pose(plan.run.goal))
+        return msg
 
     spec = plan.goal
     if plan.goal_topic:
@@ -553,8 +559,7 @@ def _goal_of(node: Node, plan: TrialPlan, monitor: RunMonitor) -> _TopicGoal | _
         return request
 
     part = kind.Goal if spec.kind == "action" else kind.Request
-    found = part.get_fields_and_field_types().get(spec.field)
-    if found != POSE_TYPE:
+    if part.get_fields_and_field_types().get(spec.field) != POSE_TYPE:
         fields = ", ".join(f"{name} ({type_})" for name, type_ in part.get_fields_and_field_types().items())
         raise ConfigError(
             f"stack.goal.field is {quoted(spec.field)}, must be a field of type {POSE_TYPE} of {spec.type}, which has "
@@ -569,7 +574,7 @@ def _class_of(find: Callable[[str], Any], type_name: str) -> Any:
     """Returns the class of a type.
 
     Raises:
-        EnvironmentProblemError: it is not installed.
+        EnvironmentProblemError: the type is not installed.
     """
     try:
         return find(type_name)
@@ -579,14 +584,14 @@ def _class_of(find: Callable[[str], Any], type_name: str) -> Any:
         ) from error
 
 
-def _others(node: Node, topic: str, ours: Iterable[str] = ()) -> bool:
-    """Returns whether a node other than the trial's own subscribes to a topic; with ``ours``, one of these."""
-    found = {info.node_name for info in node.get_subscriptions_info_by_topic(topic)}
-    return bool(found & set(ours)) if ours else bool(found - OURS)
+def _has_subscriber(node: Node, topic: str, among: Iterable[str] = ()) -> bool:
+    """Returns whether a node that is not of the simulator subscribes to a topic; with ``among``, whether one of these nodes does."""
+    subscribers = {info.node_name for info in node.get_subscriptions_info_by_topic(topic)}
+    return bool(subscribers & set(among)) if among else bool(subscribers - SIMULATOR_NODES)
 
 
-def _acknowledged(publisher: Publisher) -> None:
-    """Blocks until a message has arrived at all subscribers, a second at most."""
+def _wait_for_acknowledgement(publisher: Publisher) -> None:
+    """Blocks until all subscribers have acknowledged a message, at most ``_ACKNOWLEDGED_S``."""
     publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
 
 
@@ -595,7 +600,7 @@ def _pose(pose: PlanarPose, z: float = 0.0) -> Pose:
 
 
 def _composed(pose: PlanarPose, change: PlanarPose) -> PlanarPose:
-    """Returns a pose after a change in its own frame."""
+    """Returns the composition of a pose (x, y in m, yaw in rad) with a change in its own frame."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return pose[0] + c * change[0] - s * change[1], pose[1] + s * change[0] + c * change[1], pose[2] + change[2]
 

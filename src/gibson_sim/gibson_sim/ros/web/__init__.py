@@ -1,1 +1,1 @@
-"""What the live page shows of ROS topics, and the services that it asks."""
+"""The ROS side of the live page: subscriptions to topics that it shows, and clients of services that it calls."""

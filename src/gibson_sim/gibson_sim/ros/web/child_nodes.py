@@ -1,4 +1,4 @@
-"""Nodes that a page starts and ends, each in a process of its own: a recorder, a task."""
+"""Nodes that a page starts and ends, each in a separate process: a recorder, a task."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from gibson_sim.processes.job_folder import VARIABLE as JOB_VARIABLE
 from gibson_sim.processes.node_process import PARENT_VARIABLE, command_of, end_node, node_arguments, start_node
 
 RECORDINGS = Path("out/web")
-"""Folder of all recordings that pages start, below the folder in which the server was started."""
+"""Folder of all recordings that pages start, relative to the working directory of the server."""
 
 
 class ChildNode:
-    """A node in a process of its own. It ends with this process, even if that is killed."""
+    """A node in a separate process, which ends with this process, even if this one is killed."""
 
     def __init__(self, module: str, config: Any) -> None:
-        """Starts ``gibson_sim.ros.nodes.<module>`` with settings; must be called in the main thread, whose end the child notices."""
+        """Starts ``gibson_sim.ros.nodes.<module>`` with settings; must be called in the main thread, since the child ends with its parent thread."""
         environment = {name: value for name, value in os.environ.items() if name != JOB_VARIABLE}
         self._tail: deque[str] = deque(maxlen=20)
-        self._asked = False
+        self._end_requested = False
         command = command_of(module, *node_arguments(config))
         self._process = start_node(command, {**environment, PARENT_VARIABLE: str(os.getpid())})
         self._reader = threading.Thread(target=self._read, name=f"{module}-output", daemon=True)
@@ -42,70 +42,70 @@ class ChildNode:
 
     @property
     def code(self) -> int | None:
-        """Exit code; None = it runs."""
+        """Exit code; None = the node runs."""
         return self._process.poll()
 
     @property
     def error(self) -> str:
-        """The last error that it reported; empty = none."""
+        """Last error that the node reported; empty = none."""
         self._reader.join(timeout=1.0)
         return next((line.removeprefix("error: ") for line in reversed(self._tail) if line.startswith("error: ")), "")
 
-    def ask_to_end(self) -> None:
-        """Sends SIGINT, and returns at once; only the first time: a node that gets a second one ends without closing its files."""
-        if self.code is None and not self._asked:
-            self._asked = True
+    def request_end(self) -> None:
+        """Sends SIGINT without waiting; a second call does nothing, since a second SIGINT would end the node without closing its files."""
+        if self.code is None and not self._end_requested:
+            self._end_requested = True
             self._process.send_signal(signal.SIGINT)
 
     def end(self) -> None:
-        """Ends it, and waits until it has ended."""
-        end_node(self._process, interrupted=self._asked)
+        """Ends the node, and waits until it has ended."""
+        end_node(self._process, interrupted=self._end_requested)
 
 
 class Recorder:
-    """The recording that a page has started: a record node, in a folder that is chosen here."""
+    """The recording that a page has started: a record node, with a folder named by the time."""
 
     def __init__(self) -> None:
         self._child: ChildNode | None = None
         self._folder: Path | None = None
-        self._began_s: float | None = None
+        self._start_s: float | None = None
         self._error = ""
 
     @property
     def running(self) -> bool:
-        """Whether it records now."""
+        """Whether a recording runs."""
         return self._child is not None
 
     def start(self, *, images: bool) -> str:
-        """Starts a recording of all topics, those of images, which are compressed, if ``images``; returns its folder."""
+        """Starts a recording of all topics, with compressed images if ``images`` is set, otherwise without; returns its folder."""
         folder = RECORDINGS / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         config = RecordConfig(output=str(folder), record_images="compressed" if images else "none", compression="zstd")
         self._child = ChildNode("record_node", config)
-        self._folder, self._began_s, self._error = folder, None, ""
+        self._folder, self._start_s, self._error = folder, None, ""
         return str(folder)
 
     def stop(self) -> None:
-        """Asks it to end; ``shown``, which is called once a second, tells when it has."""
+        """Requests the end of the recording; ``page_values``, which is called once a second, reports when it has ended."""
         if self._child is not None:
-            self._child.ask_to_end()
+            self._child.request_end()
 
-    def shown(self) -> dict[str, Any]:
-        """Returns what a page shows: whether it runs, folder, size in bytes, wall time since it records, in seconds, and the last error."""
+    def page_values(self) -> dict[str, Any]:
+        """Returns the values for the page: whether it runs, folder, size (bytes), recording time (s of wall time) and the last error."""
         if self._child is not None and self._child.code is not None:
             self._error = self._reason(self._child)
             self._child = None
-        if self._began_s is None and self._folder is not None and self._folder.exists():  # the recorder takes seconds to load
-            self._began_s = time.monotonic()
+        if self._start_s is None and self._folder is not None and self._folder.exists():  # the recorder needs seconds to start
+            self._start_s = time.monotonic()
         return {
             "on": self.running,
             "folder": "" if self._folder is None else str(self._folder),
             "bytes": _size(self._folder),
-            "seconds": round(time.monotonic() - self._began_s) if self.running and self._began_s is not None else None,
+            "seconds": round(time.monotonic() - self._start_s) if self.running and self._start_s is not None else None,
             "error": self._error,
         }
 
     def _reason(self, child: ChildNode) -> str:
-        """Returns why a recording that has ended is not whole; empty = it is."""
+        """Returns the reason why an ended recording is incomplete; empty = it is complete."""
         if self._folder is not None and not self._folder.exists() and not child.error:
             return "nothing was recorded: it was stopped before it had begun"
         if self._folder is not None and self._folder.exists() and not (self._folder / "metadata.yaml").exists():
@@ -113,7 +113,7 @@ class Recorder:
         return (child.error or f"the recorder ended with code {child.code}") if child.code else ""
 
     def close(self) -> None:
-        """Ends the recording, its bag intact."""
+        """Ends the recording and waits until its bag is closed."""
         if self._child is not None:
             self._child.end()
             self._child = None
@@ -122,7 +122,7 @@ class Recorder:
 def _size(folder: Path | None) -> int:
     try:
         return sum(entry.stat().st_size for entry in folder.iterdir() if entry.name != RESERVE_FILE) if folder is not None else 0
-    except OSError:  # it is not there yet, or a file has just been renamed
+    except OSError:  # the folder does not exist yet, or a file has just been renamed
         return 0
 
 
@@ -135,11 +135,11 @@ class TaskRunner:
 
     @property
     def running(self) -> bool:
-        """Whether a task node runs here."""
+        """Whether a task node started by a page runs."""
         return self._child is not None
 
     def start(self, task: str, baseline: str, seed: int, run: Mapping[str, Any]) -> None:
-        """Starts a task; ``run`` has the settings ``scene`` and ``robot`` of the simulation, where they are known."""
+        """Starts a task; ``run`` has the settings ``scene`` and ``robot`` of the simulation, if they are known."""
         scene, robot = str(run.get("scene", "")), str(run.get("robot", ""))
         self._child = ChildNode(
             "task_node", TaskConfig(task=task, baseline=baseline, seed=seed, scene=scene, robot=robot, timeout=10.0)
@@ -147,19 +147,19 @@ class TaskRunner:
         self._error = ""
 
     def stop(self) -> None:
-        """Asks it to end."""
+        """Requests the end of the task node."""
         if self._child is not None:
-            self._child.ask_to_end()
+            self._child.request_end()
 
-    def shown(self) -> dict[str, Any]:
-        """Returns whether it runs, and the last error."""
+    def page_values(self) -> dict[str, Any]:
+        """Returns the values for the page: whether the task node runs, and the last error."""
         if self._child is not None and self._child.code is not None:
             self._error = self._child.error if self._child.code else ""
             self._child = None
         return {"running": self.running, "error": self._error}
 
     def close(self) -> None:
-        """Ends it."""
+        """Ends the task node."""
         if self._child is not None:
             self._child.end()
             self._child = None

@@ -1,4 +1,4 @@
-"""Doors and drawers, as a page lists, opens and closes them."""
+"""Lists, opens and closes doors and drawers for a page."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from gibson_sim.types import NS_PER_S
 from gibson_sim.web.pages import Answer
 from gibson_sim.web.requests import Open
 
-ARRIVED = 0.02
-"""Distance from the requested opening at which a joint is let go, as a part of its range."""
-_AT_REST = 0.02
-"""Speed below which it is, rad/s or m/s: one that moves would bounce off its stop."""
-_PATIENCE_NS = 8 * NS_PER_S
-"""Simulation time after which a joint that something holds back is let go, ns."""
+OPENING_TOLERANCE = 0.02
+"""Tolerance of the requested opening within which a joint is released, as a fraction of its range."""
+_SPEED_TOLERANCE = 0.02
+"""Speed below which a joint is released, rad/s or m/s: a moving one would bounce off its stop."""
+_TIMEOUT_NS = 8 * NS_PER_S
+"""Time after which a blocked joint is released, ns of simulation time."""
 _HANDLES = ("handle", "lever", "knob")
-"""Ends of the names of joints that open nothing."""
+"""Suffixes of the names of joints that belong to handles, not to doors."""
 
 
 @dataclass(slots=True)
 class _Joint:
-    """Where a joint is, and its limits, radians or metres."""
+    """State and limits of a joint, rad or m."""
 
     position: float
     lower: float
@@ -39,37 +39,39 @@ class _Joint:
 
     @property
     def closed(self) -> float:
-        """Position at which it is shut: 0, or the limit that is nearest to it."""
+        """Closed position: 0, or the limit that is closest to 0."""
         return min(max(0.0, self.lower), self.upper)
 
     @property
     def range(self) -> float:
-        """From shut to open; negative for a joint that opens the other way."""
+        """Difference between open and closed position; negative for a joint that opens in the negative direction."""
         return max(self.upper - self.closed, self.lower - self.closed, key=abs)
 
     @property
     def opening(self) -> float:
-        """0 = closed, 1 = as far as it goes."""
+        """Opening as a fraction of the range, 0 = closed, 1 = open."""
         return (self.position - self.closed) / self.range
 
 
 @dataclass(slots=True)
 class _Motion:
-    """A joint on its way."""
+    """A requested motion of a joint."""
 
     opening: float
+    """Requested opening, 0 to 1."""
     deadline_ns: int
     answer: Answer
 
 
 class Doors:
-    """The joints of bodies that have limits, but for handles.
+    """The joints of bodies that have limits, except handles.
 
     Subscribes:
-        object_joint_states (control_msgs/DynamicJointState): where the joints are; where the package is missing, there are none.
+        object_joint_states (control_msgs/DynamicJointState): joint states; without the package control_msgs there are no doors.
 
     Publishes:
-        object_joint_command (sensor_msgs/JointState): to the position, and, when it is there or held back, no effort: it swings freely again.
+        object_joint_command (sensor_msgs/JointState): the requested position, and, when it is reached or the joint is blocked, effort 0, so
+            that the joint swings freely again.
     """
 
     def __init__(self, node: GraphNode) -> None:
@@ -83,26 +85,30 @@ class Doors:
             return
         node.subscribe(kind, names.OBJECT_JOINT_STATES, self._on_states, qos.LATCHED)
 
-    def listed(self, places: Mapping[str, tuple[float, float]]) -> list[dict[str, Any]]:
-        """Returns what a page shows: name, opening (0 to 1), and the place of the body on the map, m. ``places``: of all entities."""
+    def page_values(self, places: Mapping[str, tuple[float, float]]) -> list[dict[str, Any]]:
+        """Returns the values for the page: name, opening (0 to 1) and position on the map (m) of each joint.
+
+        Args:
+            places: name of each entity -> x, y, map frame, m.
+        """
         if not self._node.count_publishers(names.OBJECT_JOINT_STATES):
             return []
-        found = []
+        rows = []
         for name, joint in self._joints.items():
             body = name.rpartition("/")[0]
             if body in places:
                 x, y = places[body]
                 moving = self._motions[name].opening if name in self._motions else None
-                found.append({"joint": name, "opening": round(joint.opening, 2), "moving": moving, "x": x, "y": y})
-        return found
+                rows.append({"joint": name, "opening": round(joint.opening, 2), "moving": moving, "x": x, "y": y})
+        return rows
 
     def open(self, request: Open, answer: Answer) -> None:
-        """Moves a joint; answers once it is there, or held back."""
+        """Moves a joint; answers once it has reached the opening or is blocked."""
         joint = self._joints.get(request.joint)
         if joint is None:
-            answer(False, f"{quoted(request.joint)} is no door or drawer of this simulation")
+            answer(False, f"{quoted(request.joint)} is not a door or drawer of this simulation")
             return
-        self._motions[request.joint] = _Motion(request.opening, self._stamp_ns + _PATIENCE_NS, answer)
+        self._motions[request.joint] = _Motion(request.opening, self._stamp_ns + _TIMEOUT_NS, answer)
         target = joint.closed + request.opening * joint.range
         self._publisher.publish(JointState(name=[request.joint], position=[target]))
 
@@ -115,20 +121,24 @@ class Doors:
             joint = _Joint(values["position"], values["lower"], values["upper"], values.get("velocity", 0.0))
             if math.isfinite(joint.opening if joint.range else math.nan):
                 self._joints[name] = joint
-        before, self._stamp_ns = self._stamp_ns, conversions.time_from_msg(msg.header.stamp)
-        if self._stamp_ns < before:  # a reset
+        previous_ns, self._stamp_ns = self._stamp_ns, conversions.time_from_msg(msg.header.stamp)
+        if self._stamp_ns < previous_ns:  # a reset
             self._motions.clear()
         for name, motion in list(self._motions.items()):
-            self._end(name, motion)
+            self._release_if_done(name, motion)
 
-    def _end(self, name: str, motion: _Motion) -> None:
-        """Lets a joint go that has arrived, or that something holds back."""
+    def _release_if_done(self, name: str, motion: _Motion) -> None:
+        """Releases a joint that has reached the requested opening, or is blocked."""
         joint = self._joints.get(name)
-        arrived = joint is not None and abs(joint.opening - motion.opening) < ARRIVED and abs(joint.velocity) < _AT_REST
+        arrived = (
+            joint is not None
+            and abs(joint.opening - motion.opening) < OPENING_TOLERANCE
+            and abs(joint.velocity) < _SPEED_TOLERANCE
+        )
         if joint is not None and not arrived and self._stamp_ns < motion.deadline_ns:
             return
         del self._motions[name]
         self._publisher.publish(JointState(name=[name], effort=[0.0]))
         if not arrived:
-            place = "" if joint is None else f": it is {100.0 * joint.opening:.0f} % open"
-            motion.answer(False, f"{name} is held back by something{place}")
+            opening = "" if joint is None else f": it is {100.0 * joint.opening:.0f} % open"
+            motion.answer(False, f"{name} is blocked{opening}")

@@ -1,4 +1,4 @@
-"""The numbers in any message, by their path: ``twist.twist.linear.x``, ``ranges[180]``."""
+"""Reads the numbers in any message by their paths, such as ``twist.twist.linear.x`` or ``ranges[180]``."""
 
 from __future__ import annotations
 
@@ -13,46 +13,46 @@ import numpy as np
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.web.units import unit_of
 
-MOST_FIELDS = 600
-"""Fields of a message that a page may choose from; others can be typed."""
-MOST_ELEMENTS = 64
-"""Elements of one array among them."""
+MAX_FIELDS = 600
+"""Maximum number of fields of a message that a page lists; others can be typed."""
+MAX_ELEMENTS = 64
+"""Maximum number of listed elements of one array."""
 _STEP = re.compile(r"([a-z][a-z0-9_]*)((?:\[\d{1,7}\])?)", re.ASCII)
-_DEEPEST = 12
+_MAX_DEPTH = 12
 _TIMES = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 
 class NumberField(NamedTuple):
-    """One number of a message."""
+    """One numeric field of a message."""
 
     path: str
     unit: str
-    """Empty = not known."""
+    """Unit; empty = unknown."""
     label: str
-    """What the message itself calls an element, such as the name of a joint; empty = nothing."""
+    """Name of the element in the message, such as the name of a joint; empty = none."""
 
 
 Step = tuple[str, int | None]
-"""Name of a field, and index of an element."""
+"""Name of a field, and index of an element of it; None = the field itself."""
 
 
 def parse_path(path: str) -> tuple[Step, ...]:
     """Returns the steps of a path.
 
     Raises:
-        ValueError: it is no path of a field.
+        ValueError: the path is invalid.
     """
     steps: list[Step] = []
     for part in path.split("."):
         match = _STEP.fullmatch(part)
-        if match is None or len(steps) >= _DEEPEST:
-            raise ValueError(f"{path[:80]!r} is no field: such as twist.twist.linear.x or ranges[180]")
+        if match is None or len(steps) >= _MAX_DEPTH:
+            raise ValueError(f"{path[:80]!r} is not a field path, such as twist.twist.linear.x or ranges[180]")
         steps.append((match[1], int(match[2][1:-1]) if match[2] else None))
     return tuple(steps)
 
 
 def number_at(message: Any, steps: tuple[Step, ...]) -> float | None:
-    """Returns the number at a path; None = this message has none there (a short array), or it is no number."""
+    """Returns the number at a path; None = the path does not exist in this message (a short array), or its value is not a number."""
     value = message
     for name, index in steps:
         if not hasattr(value, "get_fields_and_field_types") or name not in value.get_fields_and_field_types():
@@ -66,23 +66,23 @@ def number_at(message: Any, steps: tuple[Step, ...]) -> float | None:
 
 
 def number_fields(message: Any) -> list[NumberField]:
-    """Returns the numbers in a message; of long arrays, and of long messages, the first ones."""
-    found: list[NumberField] = []
-    for item in _walk(message, "", "", "", 0):
-        found.append(item)
-        if len(found) >= MOST_FIELDS:
+    """Returns the numeric fields of a message, up to ``MAX_FIELDS``, and up to ``MAX_ELEMENTS`` of each array."""
+    fields: list[NumberField] = []
+    for field in _walk(message, "", "", "", 0):
+        fields.append(field)
+        if len(fields) >= MAX_FIELDS:
             break
-    return found
+    return fields
 
 
 @lru_cache(maxsize=1024)
 def has_numbers(type_name: str) -> bool:
-    """Returns whether messages of a type, such as ``nav_msgs/msg/Odometry``, can have numbers besides their times."""
+    """Returns whether messages of a type, such as ``nav_msgs/msg/Odometry``, can have numbers other than times."""
     return _has_numbers(type_name, 0)
 
 
 def _has_numbers(type_name: str, depth: int) -> bool:
-    if depth >= _DEEPEST or type_name in _TIMES:
+    if depth >= _MAX_DEPTH or type_name in _TIMES:
         return False
     try:
         fields = message_class(type_name).get_fields_and_field_types()
@@ -99,7 +99,7 @@ def _has_numbers(type_name: str, depth: int) -> bool:
 
 
 def _walk(message: Any, prefix: str, outer: str, label: str, depth: int) -> Iterator[NumberField]:
-    if depth >= _DEEPEST:
+    if depth >= _MAX_DEPTH:
         return
     fields = message.get_fields_and_field_types()
     type_name = f"{type(message).__module__.partition('.')[0]}/{type(message).__name__}"
@@ -112,7 +112,7 @@ def _walk(message: Any, prefix: str, outer: str, label: str, depth: int) -> Iter
             yield NumberField(path, unit, label)
         elif isinstance(value, (list, tuple, array, np.ndarray)):
             names = next((rows for rows in texts if len(rows) == len(value)), None)
-            for index, element in enumerate(value[:MOST_ELEMENTS]):
+            for index, element in enumerate(value[:MAX_ELEMENTS]):
                 title = " ".join(filter(None, (label, "" if names is None else str(names[index]))))
                 if hasattr(element, "get_fields_and_field_types"):
                     yield from _walk(element, f"{path}[{index}].", unit, title, depth + 1)
@@ -121,6 +121,6 @@ def _walk(message: Any, prefix: str, outer: str, label: str, depth: int) -> Iter
 
 
 def _number(value: Any) -> float | None:
-    if isinstance(value, bytes):  # an octet, such as the level of a diagnosis
+    if isinstance(value, bytes):  # an octet, such as the level of a DiagnosticStatus
         return float(value[0]) if len(value) == 1 else None
     return float(value) if isinstance(value, (bool, int, float, np.number)) else None

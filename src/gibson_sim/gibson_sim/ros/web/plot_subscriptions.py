@@ -1,4 +1,4 @@
-"""Numbers of any topic for the plots of pages: a topic is subscribed to while a page plots it, and no longer."""
+"""Subscriptions for the plots of pages: numeric fields of any topic, subscribed to only while a page plots them."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.web.curves import CurveName, Curves
 
 _QUEUE = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Matches whatever is offered, and holds no publisher up."""
+"""Profile that matches every publisher, and never blocks one."""
 _FIRST_MESSAGE_S = 2.0
-"""Wall time to wait for a message whose arrays are to be listed; afterwards the fields of an empty one are told, s."""
-_MOST_LISTINGS = 8
-"""Topics that may be listed at a time."""
+"""Timeout for a message whose fields are listed, s of wall time; afterwards the fields of an empty message are listed."""
+_MAX_LISTINGS = 8
+"""Maximum number of topics whose fields are being listed."""
 _LARGE = (
     "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2", "gibson_msgs/msg/Scene", "gibson_msgs/msg/SceneState",
     "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate", "gibson_msgs/msg/Input",
 )  # fmt: skip
-"""Types that are worth no plot, and cost much."""
+"""Types of large messages, which are not offered for plots."""
 Reply = Callable[..., None]
 
 
 def plottable(graph: list[tuple[str, list[str]]]) -> dict[str, str]:
-    """Returns topic -> type of what can be plotted. ``graph``: (topic, types), as rclpy returns them."""
-    # One participant cannot know a topic under two types, and this node must stay free to publish commands of either.
+    """Returns topic -> type of the topics that can be plotted; ``graph`` has (topic, types), as rclpy returns them."""
+    # Without cmd_vel: a participant cannot have a topic with two types, and this node must be able to publish commands of either.
     return {
         topic: types[0]
         for topic, types in sorted(graph)
@@ -41,24 +41,24 @@ def plottable(graph: list[tuple[str, list[str]]]) -> dict[str, str]:
 
 
 class PlotSubscriptions:
-    """The subscriptions of all curves that any page plots.
+    """The subscriptions of all curves that pages plot.
 
     Args:
-        node: subscribes.
+        node: node of the subscriptions.
     """
 
     def __init__(self, node: Subscriber) -> None:
         self._node = node
         self.curves = Curves()
         self.types: dict[str, str] = {}
-        """Topic -> type, of what can be plotted."""
+        """Topic -> type of the topics that can be plotted."""
         self._subscriptions: dict[str, Any] = {}
         self._steps: dict[str, list[tuple[str, tuple[Step, ...]]]] = {}
-        """Topic -> its fields, and their steps."""
+        """Topic -> paths of its plotted fields, with their steps."""
         self._listings: list[_Listing] = []
 
     def update(self, plotted: frozenset[CurveName]) -> None:
-        """Subscribes to the topics of these curves as soon as they exist, and to nothing else; a field that cannot be one is left out."""
+        """Sets the plotted curves, and subscribes to their topics only, as soon as they exist; curves with an invalid path are skipped."""
         self.curves.update(plotted)
         self._steps = {}
         for topic, path in sorted(plotted):
@@ -66,9 +66,9 @@ class PlotSubscriptions:
                 self._steps.setdefault(topic, []).append((path, parse_path(path)))
             except ValueError as error:
                 self._node.get_logger().warning(str(error))
-        self.look()
+        self.update_subscriptions()
 
-    def look(self) -> None:
+    def update_subscriptions(self) -> None:
         """Subscribes to plotted topics that have appeared, and unsubscribes from those that no page plots."""
         for topic in set(self._subscriptions) - set(self._steps):
             self._node.destroy_subscription(self._subscriptions.pop(topic))
@@ -78,21 +78,21 @@ class PlotSubscriptions:
                 self._subscriptions[topic] = self._node.subscribe(kind, topic, partial(self._on_message, topic), _QUEUE)
 
     def list_fields(self, topic: str, reply: Reply) -> None:
-        """Tells the numbers in the messages of a topic, by its next message, since only that has its arrays."""
+        """Replies with the numeric fields of a topic, from its next message, which shows the lengths of its arrays."""
         kind = _class(self.types.get(topic, ""))
-        if len(self._listings) >= _MOST_LISTINGS:
+        if len(self._listings) >= _MAX_LISTINGS:
             reply(False, "too many topics are being listed: try again in a moment", None)
             return
         if kind is None:
-            reply(False, f"{quoted(topic)} is no topic that can be plotted", None)
+            reply(False, f"topic {quoted(topic)} cannot be plotted", None)
             return
         listing = _Listing(topic, kind, time.monotonic() + _FIRST_MESSAGE_S, reply)
         listing.subscription = self._node.subscribe(kind, topic, partial(self._on_listed, listing), _QUEUE)
         self._listings.append(listing)
 
     def end_listings(self) -> None:
-        """Ends listings that are done, or whose topic is silent."""
-        for listing in [one for one in self._listings if one.done or time.monotonic() > one.deadline_s]:
+        """Ends listings that are done, or have timed out."""
+        for listing in [item for item in self._listings if item.done or time.monotonic() > item.deadline_s]:
             if not listing.done:
                 self._on_listed(listing, listing.kind())
             self._node.destroy_subscription(listing.subscription)
@@ -113,7 +113,7 @@ class PlotSubscriptions:
 
 
 class _Listing:
-    """A page waits for the fields of a topic."""
+    """A pending request of a page for the fields of a topic."""
 
     def __init__(self, topic: str, kind: Any, deadline_s: float, reply: Reply) -> None:
         self.topic, self.kind, self.deadline_s, self.reply = topic, kind, deadline_s, reply

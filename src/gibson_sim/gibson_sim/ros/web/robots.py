@@ -1,4 +1,4 @@
-"""The robots of a ROS graph, as a page shows and drives them: poses, scans, plans, estimates, commands."""
+"""Shows and drives the robots of a ROS graph for a page: poses, scans, plans, estimates, commands."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from gibson_sim.web.requests import Drive, Goal
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_MOST_POINTS = 400
-"""Points of a scan and of a path that a page gets."""
+_MAX_POINTS = 400
+"""Maximum number of points of a scan or a path that are sent to a page, approximately."""
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _RADIUS_M = 0.25
 """Radius of a robot's arrow on the map, m."""
@@ -30,13 +30,13 @@ Points = list[tuple[float, float]]
 
 
 class GraphNode(Protocol):
-    """A node whose graph has robots."""
+    """The methods of a node that this package uses."""
 
     def subscribe(self, kind: Any, topic: str, callback: Any, profile: Any) -> Any:
-        """Subscribes to a topic, and returns the subscription; a message that cannot be shown is left out."""
+        """Subscribes to a topic, and returns the subscription; messages that cannot be shown are skipped."""
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any) -> Any:
-        """As ``rclpy.node.Node`` has it; so have the following."""
+        """Creates a publisher, as ``rclpy.node.Node`` does; the following methods also are those of ``rclpy.node.Node``."""
 
     def destroy_publisher(self, publisher: Any) -> bool:  # noqa: D102
         ...
@@ -51,26 +51,26 @@ class GraphNode(Protocol):
         ...
 
     def stamp(self) -> Any:
-        """Returns the time now: of the simulation where there is one."""
+        """Returns the present time: simulation time if there is a /clock."""
 
 
 def robots_in(graph: list[tuple[str, list[str]]]) -> set[str]:
-    """Returns the namespaces in which a robot publishes odometry; "" = none. ``graph``: (topic, types), as rclpy returns them."""
+    """Returns the namespaces in which robots publish odometry; empty = no namespace. ``graph`` has (topic, types), as rclpy returns them."""
     suffix = f"/{names.ODOM}"
-    found = {name.removesuffix(suffix).strip("/") for name, types in graph if _ODOMETRY in types and name.endswith(suffix)}
-    return {name for name in found if not name.endswith("ground_truth")}
+    namespaces = {name.removesuffix(suffix).strip("/") for name, types in graph if _ODOMETRY in types and name.endswith(suffix)}
+    return {name for name in namespaces if not name.endswith("ground_truth")}
 
 
 class Robot:
-    """One robot: its namespace, what it says of where it is, and its commands."""
+    """One robot: its pose, scan, plan and estimate, and its commands."""
 
     def __init__(self, node: GraphNode, name: str) -> None:
-        """Subscribes to its topics; ``name`` is its namespace, "" = none."""
+        """Subscribes to the topics of the robot; ``name`` is its namespace, empty = none."""
         self.name = name
         self.path: Points = []
-        """The plan, map frame, m."""
+        """Planned path, map frame, m."""
         self.estimate: dict[str, float] | None = None
-        """Pose of a localiser: x, y (m), and its ellipse of 2 sigma: major, minor (m), angle (rad)."""
+        """Estimated position x, y (m) and 2-sigma ellipse (major, minor in m, angle in rad) from localisation; None = none."""
         self._node, self._prefix = node, f"/{name}/" if name else "/"
         self._odometry: Odometry | None = None
         self._truth: Odometry | None = None
@@ -86,21 +86,21 @@ class Robot:
         ]
 
     def close(self) -> None:
-        """Ends its subscriptions."""
+        """Destroys the subscriptions and publishers."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)
 
     @property
-    def is_there(self) -> bool:
-        """Whether it still publishes its odometry."""
+    def is_present(self) -> bool:
+        """Whether the odometry of the robot has a publisher."""
         return self._node.count_publishers(self._prefix + names.ODOM) > 0
 
     def choose_type(self) -> None:
-        """Sends TwistStamped where all subscribers of the topic of commands want it."""
-        wanted = {info.topic_type for info in self._node.get_subscriptions_info_by_topic(self._prefix + names.CMD_VEL)}
-        stamped = wanted == {"geometry_msgs/msg/TwistStamped"}
+        """Selects TwistStamped for commands if all subscribers of cmd_vel use it, otherwise Twist."""
+        subscribed = {info.topic_type for info in self._node.get_subscriptions_info_by_topic(self._prefix + names.CMD_VEL)}
+        stamped = subscribed == {"geometry_msgs/msg/TwistStamped"}
         if stamped != self._stamped and names.CMD_VEL in self._publishers:
             self._node.destroy_publisher(self._publishers.pop(names.CMD_VEL))
         self._stamped = stamped
@@ -116,12 +116,12 @@ class Robot:
         publisher.publish(msg)
 
     def advertise(self) -> None:
-        """Makes the publishers of goals and initial poses, so that a click finds its subscribers matched."""
+        """Creates the publishers of goals and initial poses early, so that subscribers are matched before the first click."""
         self._publisher(PoseStamped, "goal_pose", 1)
         self._publisher(PoseWithCovarianceStamped, "initialpose", 1)
 
     def send(self, goal: Goal) -> tuple[bool, str]:
-        """Publishes a goal or an initial pose; returns whether it has subscribers, and what to say."""
+        """Publishes a goal or an initial pose; returns whether the topic has subscribers, and a text for the page."""
         pose = flat_pose(goal.x, goal.y, 0.0, goal.yaw)
         if goal.kind == "goal":
             topic, msg = "goal_pose", PoseStamped(pose=pose)
@@ -134,9 +134,9 @@ class Robot:
             publisher = self._publisher(PoseWithCovarianceStamped, topic, 1)
         msg.header.frame_id, msg.header.stamp = WORLD_FRAME, self._node.stamp()
         publisher.publish(msg)
-        heard = publisher.get_subscription_count() > 0
+        has_subscribers = publisher.get_subscription_count() > 0
         topic = (self._prefix + topic).lstrip("/")
-        return heard, f"sent to {topic}" if heard else f"{topic} has no subscriber: no navigation stack runs"
+        return has_subscribers, f"sent to {topic}" if has_subscribers else f"{topic} has no subscriber: no navigation stack runs"
 
     def _publisher(self, kind: Any, topic: str, depth: int) -> Any:
         if topic not in self._publishers:
@@ -145,7 +145,7 @@ class Robot:
 
     def _on_path(self, msg: Path) -> None:
         points = [(p.pose.position.x, p.pose.position.y) for p in msg.poses]
-        self.path = _finite(points[:: max(1, len(points) // _MOST_POINTS)])
+        self.path = _finite(points[:: max(1, len(points) // _MAX_POINTS)])
 
     def _on_estimate(self, msg: PoseWithCovarianceStamped) -> None:
         p, c = msg.pose.pose.position, msg.pose.covariance
@@ -155,12 +155,12 @@ class Robot:
             return
         values, axes = np.linalg.eigh((covariance + covariance.T) / 2)
         minor, major = (2.0 * np.sqrt(np.maximum(values, 0.0))).tolist()
-        found = {"x": p.x, "y": p.y, "major": major, "minor": minor, "angle": math.atan2(axes[1, 1], axes[0, 1])}
-        if all(map(math.isfinite, found.values())):
-            self.estimate = found
+        estimate = {"x": p.x, "y": p.y, "major": major, "minor": minor, "angle": math.atan2(axes[1, 1], axes[0, 1])}
+        if all(map(math.isfinite, estimate.values())):
+            self.estimate = estimate
 
-    def shown(self, tree: TransformTree) -> tuple[dict[str, Any], Points] | None:
-        """Returns what a page shows of it, and where the rays of its newest scan end, map frame, m; None = it has said nothing yet."""
+    def page_values(self, tree: TransformTree) -> tuple[dict[str, Any], Points] | None:
+        """Returns the values for the page, and the points of the newest scan, map frame, m; None = the pose is unknown."""
         T_map_base = self._pose(tree)
         if T_map_base is None:
             return None
@@ -176,7 +176,7 @@ class Robot:
         return {"name": self.name or "robot", "namespace": self.name, **values}, _finite(self._scan_points(tree, T_map_base))
 
     def _pose(self, tree: TransformTree) -> Mat4 | None:
-        """Returns T_map_base: by tf where that knows the map, else the simulation's truth, else its odometry."""
+        """Returns T_map_base from tf if it has the map frame, otherwise from ground truth, otherwise from odometry."""
         if self._odometry is None:
             return None
         T_map_base = tree.between(WORLD_FRAME, self._odometry.child_frame_id)
@@ -184,7 +184,7 @@ class Robot:
 
     @property
     def _speed(self) -> float:
-        """Speed by its odometry, m/s."""
+        """Horizontal speed from odometry, m/s."""
         if self._odometry is None:
             return 0.0
         linear = self._odometry.twist.twist.linear
@@ -198,14 +198,14 @@ class Robot:
         if T_base_scan is None:
             return []
         ranges = np.asarray(scan.ranges, dtype=np.float64)
-        step = max(1, len(ranges) // _MOST_POINTS)
+        step = max(1, len(ranges) // _MAX_POINTS)
         angles = (scan.angle_min + scan.angle_increment * np.arange(len(ranges)))[::step]
         ranges = ranges[::step]
-        good = np.isfinite(ranges) & (ranges >= scan.range_min) & (ranges <= scan.range_max)
-        ranges, angles = ranges[good], angles[good]
+        valid = np.isfinite(ranges) & (ranges >= scan.range_min) & (ranges <= scan.range_max)
+        ranges, angles = ranges[valid], angles[valid]
         points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros_like(ranges), np.ones_like(ranges)])
-        placed = (T_map_base @ T_base_scan @ points)[:2].T
-        return [(round(x, 3), round(y, 3)) for x, y in placed.tolist()]
+        map_points = (T_map_base @ T_base_scan @ points)[:2].T
+        return [(round(x, 3), round(y, 3)) for x, y in map_points.tolist()]
 
 
 def _matrix(pose: Any) -> Mat4:
@@ -214,5 +214,5 @@ def _matrix(pose: Any) -> Mat4:
 
 
 def _finite(points: Points) -> Points:
-    """Returns the points that JSON can hold."""
+    """Returns the finite points, since JSON has no other numbers."""
     return [(x, y) for x, y in points if math.isfinite(x) and math.isfinite(y)]

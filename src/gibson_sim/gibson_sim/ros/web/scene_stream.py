@@ -1,4 +1,4 @@
-"""The scene for the 3-D view: its model once for each revision, its poses while a page shows it."""
+"""The scene for the 3-D view: its model, once per revision, and its poses, while a page shows it."""
 
 from __future__ import annotations
 
@@ -23,31 +23,32 @@ from gibson_sim.web.videos import Poses
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _PERIOD_S = 0.04
-"""Seconds of wall time between poses."""
+"""Minimum period of poses sent to pages, s of wall time."""
 
 
 class SceneStream:
-    """Subscribes to ``scene`` while a page shows the scene in 3-D, and always to ``scene_state``, but reads it for such a page alone.
+    """Subscribes to ``scene`` while a page shows the scene in 3-D, and always to ``scene_state``, which is deserialized only then.
 
-    While time is paused no state is published: a page that is opened then gets the last one.
+    While time is paused, no state is published: a page that is opened then gets the last one.
 
     Args:
-        node: subscribes.
-        server: gets the model, as blobs ``scene``, ``scene_arrays`` and ``texture_<k>``, and the poses.
+        node: node of the subscriptions.
+        server: server that gets the model, as blobs ``scene``, ``scene_arrays`` and ``texture_<k>``, and the poses.
     """
 
     def __init__(self, node: Subscriber, server: PageServer) -> None:
         self._node, self._server = node, server
         self._subscription: Any = None
         self._last = b""
-        """The newest state, not read."""
+        """The newest state, serialized."""
         self._revision, self._links = -1, tuple[str, ...]()
-        self._made: tuple[str, int] | None = None
+        self._model_key: tuple[str, int] | None = None
+        """Hash and revision of the scene of the newest model."""
         self._next_s = 0.0
         node.subscribe(SceneState, names.SCENE_STATE, self._on_state, _NEWEST, raw=True)
 
     def update(self, shown: bool) -> None:
-        """Subscribes if a page shows the scene, and else to nothing."""
+        """Subscribes to the scene if a page shows it, otherwise unsubscribes."""
         if shown and self._subscription is None:
             self._subscription = self._node.subscribe(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         elif not shown and self._subscription is not None:
@@ -61,20 +62,20 @@ class SceneStream:
             self._node.get_logger().warning(f"the scene is not shown in 3-D: {error}")
             return
         self._revision, self._links = scene.revision, scene.links
-        if self._made != (scene.content_hash, scene.revision):
-            self._made = (scene.content_hash, scene.revision)
-            threading.Thread(target=self._make, args=(scene,), name="scene-model", daemon=True).start()
+        if self._model_key != (scene.content_hash, scene.revision):
+            self._model_key = (scene.content_hash, scene.revision)
+            threading.Thread(target=self._build_model, args=(scene,), name="scene-model", daemon=True).start()
         self._show_state()
 
-    def _make(self, scene: DrawnScene) -> None:
-        """Makes the model, in a thread of its own: a second for a home, several for a large scan."""
+    def _build_model(self, scene: DrawnScene) -> None:
+        """Builds the model, in a separate thread: it takes a second for a home, several for a large scan."""
         try:
             model = scene_model(scene, self._node.get_logger().warning)
         except GibsonSimError as error:
             self._node.get_logger().warning(f"the scene is not shown in 3-D: {error}")
             return
-        if self._made != (scene.content_hash, scene.revision):
-            return  # a newer one is on its way
+        if self._model_key != (scene.content_hash, scene.revision):
+            return  # a newer model is being built
         self._server.serve_blob("scene", model.description)
         self._server.serve_blob("scene_arrays", model.arrays)
         for number, texture in enumerate(model.textures):
@@ -89,7 +90,7 @@ class SceneStream:
             self._show_state()
 
     def _show_state(self) -> None:
-        """Shows the newest state, if it is of the scene that pages have."""
+        """Sends the newest state to pages, if it belongs to the scene that they have."""
         msg = deserialize_message(self._last, SceneState) if self._last else None
         if msg is not None and msg.revision == self._revision:
             state = conversions.scene_state_from_msg(msg, self._links)

@@ -1,4 +1,4 @@
-"""What a page asks of a simulation, by the services of ``simulation_interfaces``: any simulator that has them will do."""
+"""Requests of a page to a simulation, through the services of ``simulation_interfaces``, of any simulator that offers them."""
 
 from __future__ import annotations
 
@@ -19,41 +19,41 @@ from gibson_sim.web.pages import Answer
 from gibson_sim.web.requests import Delete, Move, Rate, Request, Spawn, Time
 
 LATE_S, LOST_S = 5.0, 60.0
-"""Wall time without an answer after which a page is told, and after which an answer is no longer awaited, s."""
+"""Time without a response after which a page gets a notice, and after which the call is dropped, s of wall time."""
 
 
 @dataclass(slots=True)
 class _Call:
-    """A call of a service that has not been answered."""
+    """A pending service call."""
 
     client: Any
     future: Any
-    began_s: float
-    late: Callable[[str], None] | None
-    """Is called once with what to say if the answer is late; None = nobody is told."""
+    start_s: float
+    on_late: Callable[[str], None] | None
+    """Called once with a text for the page if the response is late; None = no notice."""
 
 
 class SimulationClient:
-    """Calls the services; never blocks."""
+    """Calls the services without blocking."""
 
     def __init__(self, node: Node, physics: str = "physics") -> None:
-        """``physics``: name of the node with the parameter ``rate``."""
+        """Creates the service clients; ``physics`` is the name of the node with the parameter ``rate``."""
         self._node, self._clients = node, {name: node.create_client(kind, name) for name, kind in SERVICES.items()}
         self._parameters = node.create_client(SetParameters, f"{physics}/set_parameters")
         self._parameter_reader = node.create_client(GetParameters, f"{physics}/get_parameters")
         self._calls: list[_Call] = []
 
-    def is_there(self) -> bool:
-        """Returns whether a simulation answers in this domain."""
+    def is_available(self) -> bool:
+        """Returns whether a simulation offers its services in this domain."""
         return bool(self._clients["get_simulation_state"].service_is_ready())
 
     def ask(self, request: Request, floor_z: float, answer: Answer) -> None:
-        """Does what a page asks for; ``answer`` is called once it is done.
+        """Executes a request of a page; ``answer`` is called once it is done.
 
         Args:
-            request: of a page.
-            floor_z: height of the floor that the page shows, metres.
-            answer: (whether it worked, what to say).
+            request: request of a page.
+            floor_z: height of the floor that the page shows, m.
+            answer: called with (whether the request succeeded, text for the page).
         """
         if isinstance(request, Time):
             self._time(request, answer)
@@ -74,37 +74,41 @@ class SimulationClient:
         elif isinstance(request, Delete):
             self._do("delete_entity", DeleteEntity.Request(entity=request.name), answer, "deleted " + _literal(request.name))
 
-    def get(self, service: str, request: Any, then: Callable[[Any], None]) -> None:
-        """Calls ``then`` with the response of a service, where it answers and succeeds; not while the call before is unanswered."""
+    def get(self, service: str, request: Any, on_response: Callable[[Any], None]) -> None:
+        """Calls a service, and ``on_response`` if it succeeds; does nothing while a previous such call is pending."""
         client = self._clients[service]
-        if not any(call.client is client and call.late is None for call in self._calls):
-            self._call(client, request, lambda response: then(response) if response and response.result.result == OK else None)
+        if not any(call.client is client and call.on_late is None for call in self._calls):
+            self._call(
+                client,
+                request,
+                lambda response: on_response(response) if response and response.result.result == OK else None,
+            )
 
-    def get_rate(self, then: Callable[[float], None]) -> None:
-        """Calls ``then`` with the rate of simulation time that is requested, whoever has set it; 0 = as fast as it can."""
+    def get_rate(self, on_rate: Callable[[float], None]) -> None:
+        """Calls ``on_rate`` with the present setting ``rate`` of simulation time; 0 = as fast as possible."""
 
-        def told(response: Any) -> None:
+        def on_values(response: Any) -> None:
             values = response.values if response is not None else ()
             if values and values[0].type == ParameterType.PARAMETER_DOUBLE:
-                then(float(values[0].double_value))
+                on_rate(float(values[0].double_value))
 
         if not any(call.client is self._parameter_reader for call in self._calls):
-            self._call(self._parameter_reader, GetParameters.Request(names=["rate"]), told)
+            self._call(self._parameter_reader, GetParameters.Request(names=["rate"]), on_values)
 
-    def call(self, client: Any, request: Any, then: Callable[[Any], None], answer: Answer) -> None:
-        """Calls any service; ``then`` gets its response, or None where nothing offers it; a late one is told by ``answer``."""
-        self._call(client, request, then, partial(answer, False))
+    def call(self, client: Any, request: Any, on_response: Callable[[Any], None], answer: Answer) -> None:
+        """Calls any service; ``on_response`` gets its response, or None if no node offers it; ``answer`` reports a late response."""
+        self._call(client, request, on_response, partial(answer, False))
 
-    def look(self) -> None:
-        """Tells pages whose calls are late, and forgets calls that will never be answered."""
+    def check_pending(self) -> None:
+        """Reports late calls to pages, and drops calls that have timed out."""
         now = time.monotonic()
         for call in list(self._calls):
-            if call.late is not None and now - call.began_s > LATE_S:
-                call.late(
+            if call.on_late is not None and now - call.start_s > LATE_S:
+                call.on_late(
                     f"{call.client.srv_name.lstrip('/')} has not answered for {LATE_S:.0f} s: its node may be busy, or hang"
                 )
-                call.late = _no_one
-            if now - call.began_s > LOST_S:
+                call.on_late = _ignore
+            if now - call.start_s > LOST_S:
                 call.client.remove_pending_request(call.future)
                 self._calls.remove(call)
 
@@ -117,47 +121,49 @@ class SimulationClient:
             state = SimulationState.STATE_PLAYING if request.action == "play" else SimulationState.STATE_PAUSED
             self._do("set_simulation_state", state_request(state), answer, "")
 
-    def _do(self, service: str, request: Any, answer: Answer, done: str) -> None:
-        # Each service has codes of its own above 100: 101 is a taken name for spawn_entity.
-        good = {OK, SetSimulationState.Response.ALREADY_IN_TARGET_STATE} if service == "set_simulation_state" else {OK}
+    def _do(self, service: str, request: Any, answer: Answer, success_text: str) -> None:
+        # Codes above 100 are specific to a service: 101 of spawn_entity means that the name is not unique.
+        success_codes = {OK, SetSimulationState.Response.ALREADY_IN_TARGET_STATE} if service == "set_simulation_state" else {OK}
 
-        def then(response: Any) -> None:
+        def on_response(response: Any) -> None:
             if response is None:
-                answer(False, f"nothing offers the service {service}: does a simulation run in this ROS domain?")
-            elif response.result.result not in good:
+                answer(False, f"no node offers the service {service}: does a simulation run in this ROS domain?")
+            elif response.result.result not in success_codes:
                 answer(False, response.result.error_message or f"{service} failed with code {response.result.result}")
             else:
-                answer(True, done.format(response=response))
+                answer(True, success_text.format(response=response))
 
-        self._call(self._clients[service], request, then, partial(answer, False))
+        self._call(self._clients[service], request, on_response, partial(answer, False))
 
-    def _call(self, client: Any, request: Any, then: Callable[[Any], None], late: Callable[[str], None] | None = None) -> None:
+    def _call(
+        self, client: Any, request: Any, on_response: Callable[[Any], None], on_late: Callable[[str], None] | None = None
+    ) -> None:
         if not client.service_is_ready():
-            then(None)
+            on_response(None)
             return
-        call = _Call(client, client.call_async(request), time.monotonic(), late)
+        call = _Call(client, client.call_async(request), time.monotonic(), on_late)
         self._calls.append(call)
 
-        def done(future: Any) -> None:
+        def on_done(future: Any) -> None:
             if call in self._calls:
                 self._calls.remove(call)
-                then(None if future.exception() else future.result())
+                on_response(None if future.exception() else future.result())
 
-        call.future.add_done_callback(done)
+        call.future.add_done_callback(on_done)
 
 
-def _no_one(text: str) -> None:
-    """Tells it to nobody: a page is told once."""
+def _ignore(text: str) -> None:
+    """Does nothing: a page gets one notice only."""
 
 
 def _literal(text: str) -> str:
-    """Returns a text that ``str.format`` leaves as it is."""
+    """Returns a text that ``str.format`` leaves unchanged."""
     return text.replace("{", "{{").replace("}", "}}")
 
 
 def _parameter(answer: Answer, response: Any) -> None:
     results = response.results if response is not None else ()
     if not results:
-        answer(False, "nothing has the parameter rate: does a simulation run in this ROS domain?")
+        answer(False, "no node has the parameter rate: does a simulation run in this ROS domain?")
     else:
         answer(bool(results[0].successful), results[0].reason)

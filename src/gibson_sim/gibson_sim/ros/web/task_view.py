@@ -1,4 +1,4 @@
-"""A task, as a page shows and runs it: its episode, its goal, its result."""
+"""Shows and runs a task for a page: its episode, its goal, its result."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from gibson_sim.web.pages import Answer
 from gibson_sim.web.requests import RunTask
 
 _GOAL, _INFO, _RESULT, _RESET = "task/goal", "task/info", "task/result", "task/reset"
-_MOST_BYTES = 65_536
-"""Length of a text that is read."""
+_MAX_LENGTH = 65_536
+"""Maximum length of a text that is parsed, characters."""
 _SHOWN = ("task", "seed", "text", "time_limit")
-"""Values of ``task/info`` that a page shows."""
+"""Keys of ``task/info`` that a page shows."""
 
 
 class TaskView:
-    """What any task node says, and the one that pages start.
+    """The state of a task node, started by a page or otherwise.
 
     Subscribes:
-        task/goal (geometry_msgs/PoseStamped), task/info and task/result (std_msgs/String, JSON): of the task node, here or elsewhere.
+        task/goal (geometry_msgs/PoseStamped), task/info and task/result (std_msgs/String, JSON): from any task node.
         run_info (gibson_msgs/RunInfo): scene and robot of the simulation, which a task needs.
 
     Services used:
@@ -55,7 +55,7 @@ class TaskView:
         self._reset = node.create_client(Trigger, _RESET)
 
     def ask(self, request: RunTask, answer: Answer) -> None:
-        """Starts a task, begins its next episode, or ends it."""
+        """Starts a task, begins its next episode, or ends the task."""
         if request.action == "stop":
             self._runner.stop()
             answer(True, "")
@@ -72,12 +72,12 @@ class TaskView:
             else:
                 answer(True, f"{request.task} is being set up")
 
-    def shown(self) -> dict[str, Any]:
-        """Returns what a page shows."""
+    def page_values(self) -> dict[str, Any]:
+        """Returns the values for the page."""
         running = self._node.count_publishers(_INFO) > 0
         info = self._info if running or self._result else {}
         return {
-            **self._runner.shown(), "there": running, "goal": self._goal if running else None,
+            **self._runner.page_values(), "there": running, "goal": self._goal if running else None,
             "info": {key: info[key] for key in _SHOWN if key in info}, "result": self._result,
         }  # fmt: skip
 
@@ -96,16 +96,20 @@ class TaskView:
         self._result = _values(msg.data)
 
     def _on_run(self, msg: RunInfo) -> None:
-        if msg.kind == "physics" and len(msg.settings) <= _MOST_BYTES:
+        if msg.kind == "physics" and len(msg.settings) <= _MAX_LENGTH:
             settings = parse_yaml(msg.settings)
             self._run = settings if isinstance(settings, dict) else {}
 
 
 def _values(text: str) -> dict[str, Any]:
-    """Returns the values of a JSON object that a page can show: short texts, and finite numbers."""
-    values = json.loads(text) if len(text) <= _MOST_BYTES else None
+    """Returns the values of a JSON object that a page can show: strings, shortened to 500 characters, booleans and finite numbers.
+
+    Raises:
+        ValueError: the text is too long, or not a JSON object.
+    """
+    values = json.loads(text) if len(text) <= _MAX_LENGTH else None
     if not isinstance(values, dict):
-        raise ValueError("it is no JSON object")
+        raise ValueError("it is not a JSON object")
     return {
         key: value[:500] if isinstance(value, str) else value
         for key, value in values.items()
@@ -115,6 +119,6 @@ def _values(text: str) -> dict[str, Any]:
 
 def _reset(answer: Answer, response: Any) -> None:
     if response is None:
-        answer(False, f"nothing offers {_RESET}: no task runs")
+        answer(False, f"no node offers {_RESET}: no task runs")
     else:
         answer(bool(response.success), "the next episode begins" if response.success else str(response.message))

@@ -1,4 +1,4 @@
-"""The newest transforms of tf, as a tree: enough for a page, which shows the present. Pure."""
+"""Tree of the newest tf transforms; a page needs no earlier ones. Pure."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import numpy as np
 
 from gibson_sim.geometry.transforms import Mat4, invert
 
-_DEEPEST = 100
-"""Frames from a leaf to the root; more is a cycle."""
+_MAX_DEPTH = 100
+"""Maximum number of frames from a leaf to the root; more indicates a cycle."""
 
 
 class TransformTree:
-    """Newest transform of each frame to its parent."""
+    """The newest transform between each frame and its parent."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Mat4]] = {}
 
     def set(self, parent: str, child: str, T_parent_child: Mat4) -> None:
-        """Notes a transform, (4, 4)."""
+        """Sets the newest transform of a frame, (4, 4)."""
         self._parents[child] = (parent, T_parent_child)
 
     def to_root(self, frame: str) -> tuple[str, Mat4]:
-        """Returns the root above a frame, and T_root_frame; a frame that tf does not know is its own root."""
+        """Returns the root of the tree of a frame, and T_root_frame; an unknown frame is its own root."""
         matrix: Mat4 = np.eye(4)
-        for _ in range(_DEEPEST):
+        for _ in range(_MAX_DEPTH):
             if frame not in self._parents:
                 break
             frame, step = self._parents[frame]
@@ -31,7 +31,7 @@ class TransformTree:
         return frame, matrix
 
     def between(self, target: str, frame: str) -> Mat4 | None:
-        """Returns T_target_frame, (4, 4); None where tf does not connect them."""
+        """Returns T_target_frame, (4, 4); None if tf does not connect the frames."""
         root, T_root_frame = self.to_root(frame)
-        other, T_root_target = self.to_root(target)
-        return invert(T_root_target) @ T_root_frame if root == other else None
+        target_root, T_root_target = self.to_root(target)
+        return invert(T_root_target) @ T_root_frame if root == target_root else None

@@ -1,1 +1,1 @@
-"""Messages as bytes (CDR), their types, and a check that DDS carries them whole."""
+"""Serialization of messages (CDR), message types, and a check of the transport of large messages over DDS."""

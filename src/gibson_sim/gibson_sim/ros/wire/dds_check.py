@@ -1,4 +1,4 @@
-"""Checks that camera-sized images arrive whole over DDS on this machine, and how fast: it sends some from one participant to another."""
+"""Checks that camera-sized images arrive complete over DDS on this machine, and measures their latency, between two participants."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ IMAGES, WIDTH, HEIGHT, TIMEOUT_S = 20, 640, 480, 10.0
 
 
 def main() -> None:
-    """Prints one line; exits with 0 if all images arrived, in order and whole, otherwise with 1."""
+    """Prints one line; exits with 0 if all images arrived complete and in order, otherwise with 1."""
     contexts = [rclpy.Context() for _ in range(2)]
     for context in contexts:
         context.init()
@@ -31,22 +31,22 @@ def main() -> None:
     executor = SingleThreadedExecutor(context=contexts[1])
     executor.add_node(receiver)
     pixels = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-    milliseconds = []
+    latencies_ms = []
     deadline = time.monotonic() + TIMEOUT_S
     while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.05)
     for number in range(1, IMAGES + 1):
-        started = time.monotonic()
+        start = time.monotonic()
         publisher.publish(image_to_msg(pixels, "rgb8", number * 1_000_000_000, "x"))
         while len(received) < number and time.monotonic() < deadline:
             executor.spin_once(timeout_sec=0.05)
-        milliseconds.append((time.monotonic() - started) * 1e3)
-    whole = received == [(n, pixels.nbytes) for n in range(1, IMAGES + 1)]
+        latencies_ms.append((time.monotonic() - start) * 1e3)
+    is_complete = received == [(n, pixels.nbytes) for n in range(1, IMAGES + 1)]
     for node, context in zip((sender, receiver), contexts, strict=True):
         node.destroy_node()
         context.try_shutdown()
-    if whole:
-        print(f"{IMAGES} images of {WIDTH}x{HEIGHT} arrived whole and in order, {median(milliseconds):.1f} ms each (median)")
+    if is_complete:
+        print(f"{IMAGES} images of {WIDTH}x{HEIGHT} arrived whole and in order, {median(latencies_ms):.1f} ms each (median)")
     else:
         print(f"{len(received)} of {IMAGES} images of {WIDTH}x{HEIGHT} arrived within {TIMEOUT_S:.0f} s", file=sys.stderr)
-    sys.exit(0 if whole else 1)
+    sys.exit(0 if is_complete else 1)

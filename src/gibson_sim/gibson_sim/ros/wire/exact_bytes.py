@@ -1,7 +1,7 @@
-"""Serialises messages without padding after their end.
+"""Serialises messages without trailing padding.
 
-``serialize_message`` of rmw_fastrtps reserves four bytes too many for each empty sequence of 64-bit numbers and leaves them at the end. ROS
-ignores them, but `rosbags`, which reads strictly, rejects such a message as damaged.
+``serialize_message`` of rmw_fastrtps reserves four bytes too many for each empty sequence of 64-bit numbers, and leaves them at the end. ROS
+ignores them, but `rosbags`, a strict reader, rejects such a message as damaged.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.ros.wire.message_types import type_name_of
 
 _ENCAPSULATION = 4
-"""Length of the CDR header, bytes."""
+"""Length of the CDR encapsulation header, bytes."""
 
 
 def exact_bytes(message: Any) -> bytes:
-    """Returns the message as CDR, without padding after its end. For infrequent messages: it parses its own output."""
+    """Returns the message as CDR without trailing padding; slow, since it parses its own output."""
     data = bytes(serialize_message(message))
     name = type_name_of(type(message))
     store = _store(name)

@@ -1,9 +1,9 @@
 """Serialises messages of a fixed layout (CDR), and images; ``publisher.publish(bytes)`` sends the bytes unchanged.
 
-A message object costs 10 to 100 microseconds of Python to fill and to convert; these bytes cost one to five, because only the numbers
-change from tick to tick: strings, lengths, covariances and padding are laid out once. Subscribers receive the same bytes either way.
+Filling and serializing a message object takes 10 to 100 microseconds in Python; these serializers take one to five, because only the numbers
+change from tick to tick: strings, lengths, covariances and padding are laid out once. Subscribers receive the same bytes in both cases.
 
-Imports no ROS: the layout is that of XCDR 1, little-endian, which every RTPS implementation reads.
+Imports no ROS: the encoding is XCDR 1, little-endian, which every RTPS implementation reads.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _ISOTROPIC = struct.Struct("<9d")
 
 
 def image_to_bytes(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> bytes:
-    """Returns the bytes of ``serialize_message(image_to_msg(...))``; ``pixels`` are C-contiguous, (H, W) or (H, W, C)."""
+    """Returns the same bytes as ``serialize_message(image_to_msg(...))``; ``pixels`` are C-contiguous, (H, W) or (H, W, C)."""
     height, width = pixels.shape[:2]
     head = struct.pack("<iI", *divmod(stamp_ns, NS_PER_S)) + _string(frame_id)
     head += bytes(-len(head) % 4) + struct.pack("<II", height, width) + _string(encoding)
@@ -35,24 +35,24 @@ def image_to_bytes(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id:
 
 
 def restamped(data: bytes, stamp_ns: int) -> bytes:
-    """Returns a serialised message that begins with a Header, with another stamp."""
-    begin = len(_ENCAPSULATION)
-    return data[:begin] + _STAMP.pack(*divmod(stamp_ns, NS_PER_S)) + data[begin + _STAMP.size :]
+    """Returns a serialised message that begins with a Header, with a new stamp."""
+    start = len(_ENCAPSULATION)
+    return data[:start] + _STAMP.pack(*divmod(stamp_ns, NS_PER_S)) + data[start + _STAMP.size :]
 
 
 class FastClock:
-    """rosgraph_msgs/Clock."""
+    """Serializer of rosgraph_msgs/Clock."""
 
     def serialize(self, stamp_ns: int) -> bytes:
-        """Returns the message for a simulation time in nanoseconds."""
+        """Returns the message for a simulation time, ns."""
         return _ENCAPSULATION + _STAMP.pack(*divmod(stamp_ns, NS_PER_S))
 
 
 class FastTf:
-    """tf2_msgs/TFMessage with fixed frames.
+    """Serializer of tf2_msgs/TFMessage with fixed frames.
 
     Args:
-        frames: (parent, child) of each transform.
+        frames: (parent, child) frames of each transform.
     """
 
     def __init__(self, frames: Sequence[tuple[str, str]]) -> None:
@@ -69,11 +69,11 @@ class FastTf:
         """Returns the message.
 
         Args:
-            stamp_ns: of all transforms.
+            stamp_ns: stamp of all transforms, ns.
             poses: T_parent_child in the order of ``frames``: x y z (m), qx qy qz qw each. A list of lists is fastest.
 
         Raises:
-            ValueError: the number of poses is not that of the frames.
+            ValueError: the number of poses differs from the number of frames.
         """
         if len(poses) != self._count:
             raise ValueError(f"there are {len(poses)} poses, the message is laid out for {self._count} frames")
@@ -86,7 +86,7 @@ class FastTf:
 
 
 class FastOdometry:
-    """nav_msgs/Odometry with fixed frames.
+    """Serializer of nav_msgs/Odometry with fixed frames.
 
     Args:
         parent: frame of the pose.
@@ -116,26 +116,26 @@ class FastOdometry:
         """Returns the message. Tuples are fastest.
 
         Args:
-            stamp_ns: of the message.
-            position: of T_parent_child, metres.
-            quat_xyzw: of T_parent_child.
-            linear: velocity in the child's frame, m/s.
-            angular: the same, rad/s.
-            pose_covariance: (6, 6) row by row; default = zeros.
-            twist_covariance: the same for the twist.
+            stamp_ns: stamp of the message, ns.
+            position: translation of T_parent_child, m.
+            quat_xyzw: rotation of T_parent_child.
+            linear: linear velocity in the child frame, m/s.
+            angular: angular velocity in the child frame, rad/s.
+            pose_covariance: covariance of the pose, (6, 6) row-major; default = zeros.
+            twist_covariance: covariance of the twist, (6, 6) row-major; default = zeros.
         """
-        start, frames, *nothing = self._constants
-        pose_part = *position, *quat_xyzw, nothing[0], _COVARIANCE.pack(*pose_covariance)
-        twist_part = *linear, *angular, nothing[2], _COVARIANCE.pack(*twist_covariance)
-        return self._pack(start, *divmod(stamp_ns, NS_PER_S), frames, *pose_part, nothing[1], *twist_part, nothing[3])
+        start, frames, *padding = self._constants
+        pose_part = *position, *quat_xyzw, padding[0], _COVARIANCE.pack(*pose_covariance)
+        twist_part = *linear, *angular, padding[2], _COVARIANCE.pack(*twist_covariance)
+        return self._pack(start, *divmod(stamp_ns, NS_PER_S), frames, *pose_part, padding[1], *twist_part, padding[3])
 
 
 class FastJointStates:
-    """sensor_msgs/JointState with fixed joints.
+    """Serializer of sensor_msgs/JointState with fixed joints.
 
     Args:
-        names: of the joints.
-        frame_id: of the header.
+        names: names of the joints.
+        frame_id: frame of the header.
     """
 
     def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
@@ -155,7 +155,7 @@ class FastJointStates:
         """Returns the message for joints in the order of ``names``.
 
         Raises:
-            ValueError: the number of joints is not that of ``names``.
+            ValueError: the number of joints differs from the number of ``names``.
         """
         stamp = divmod(stamp_ns, NS_PER_S)
         if len(joints.names) != self._count:
@@ -168,11 +168,11 @@ class FastJointStates:
 
 
 class FastImu:
-    """sensor_msgs/Imu with fixed frame and covariance of the orientation.
+    """Serializer of sensor_msgs/Imu with a fixed frame and a fixed covariance of the orientation.
 
     Args:
         frame_id: frame of the sensor.
-        orientation_covariance: (3, 3) row by row; the first is -1 if there is no orientation (REP 145).
+        orientation_covariance: covariance of the orientation, (3, 3) row-major; the first element is -1 if there is no orientation (REP 145).
     """
 
     def __init__(self, frame_id: str, orientation_covariance: Sequence[float] = _NO_COVARIANCE[:9]) -> None:
@@ -197,23 +197,23 @@ class FastImu:
         """Returns the message.
 
         Args:
-            stamp_ns: of the message.
+            stamp_ns: stamp of the message, ns.
             quat_xyzw: orientation of the sensor.
             angular: angular velocity in its frame, rad/s.
             linear: specific force in its frame, m/s^2.
-            angular_variance: of each component, (rad/s)^2.
-            linear_variance: of each component, (m/s^2)^2.
+            angular_variance: variance of each component of ``angular``, (rad/s)^2.
+            linear_variance: variance of each component of ``linear``, (m/s^2)^2.
         """
-        start, frame, after_quat, *nothing = self._constants
-        a, b, no = angular_variance, linear_variance, 0.0
-        angular_part = *angular, nothing[0], _ISOTROPIC.pack(a, no, no, no, a, no, no, no, a)
-        linear_part = *linear, nothing[2], _ISOTROPIC.pack(b, no, no, no, b, no, no, no, b)
+        start, frame, after_quat, *padding = self._constants
+        a, b, o = angular_variance, linear_variance, 0.0
+        angular_part = *angular, padding[0], _ISOTROPIC.pack(a, o, o, o, a, o, o, o, a)
+        linear_part = *linear, padding[2], _ISOTROPIC.pack(b, o, o, o, b, o, o, o, b)
         stamp = divmod(stamp_ns, NS_PER_S)
-        return self._pack(start, *stamp, frame, *quat_xyzw, after_quat, *angular_part, nothing[1], *linear_part, nothing[3])
+        return self._pack(start, *stamp, frame, *quat_xyzw, after_quat, *angular_part, padding[1], *linear_part, padding[3])
 
 
 class FastSceneState:
-    """gibson_msgs/SceneState with a fixed number of links.
+    """Serializer of gibson_msgs/SceneState with a fixed number of links.
 
     Args:
         frame_id: the world frame.
@@ -238,10 +238,10 @@ class FastSceneState:
         """Returns the message for a state; the other arguments are fields of SceneState.msg.
 
         Raises:
-            ValueError: the state has another number of links.
+            ValueError: the number of links of the state differs from that of the layout.
         """
         poses, count = self._poses, len(due_cameras)
-        # NumPy would broadcast a single row.
+        # Checked since NumPy would broadcast a single row.
         if len(state.links) != len(poses):
             raise ValueError(f"the state has {len(state.links)} links, the message is laid out for {len(poses)} links")
         poses[:, :3], poses[:, 3:] = state.positions, state.quats_xyzw
@@ -256,12 +256,12 @@ class FastSceneState:
 
 
 class FastTickDone:
-    """gibson_msgs/TickDone with the event DONE.
+    """Serializer of gibson_msgs/TickDone with the event DONE.
 
     Args:
-        event: TickDone.DONE.
-        participant: its name.
-        sent: topics on which commands were sent.
+        event: value of TickDone.DONE.
+        participant: name of the participant.
+        sent: topic of each command that was sent.
     """
 
     def __init__(self, event: int, participant: str, sent: Sequence[str]) -> None:
@@ -276,16 +276,16 @@ class FastTickDone:
         self._pack, self._constants = layout.finish()
 
     def serialize(self, sec: int, nanosec: int) -> bytes:
-        """Returns the message for the tick with a stamp."""
+        """Returns the message for the tick with this stamp."""
         before, after = self._constants
         return self._pack(before, sec, nanosec, after)
 
 
 class RelativePoses:
-    """Poses of links in the frames of other links.
+    """Computes poses of links in the frames of other links.
 
     Args:
-        pairs: (parent, child) of each pose, rows of a state.
+        pairs: (parent, child) of each pose, as rows of a state.
     """
 
     def __init__(self, pairs: Sequence[tuple[int, int]]) -> None:
@@ -294,14 +294,14 @@ class RelativePoses:
     def of(self, positions: NDArray[np.float64], quats_xyzw: NDArray[np.float64]) -> list[tuple[float, ...]]:
         """Returns T_parent_child of each pair: x y z (m), qx qy qz qw with qw >= 0.
 
-        It computes with plain floats: for the few joints of a robot they take a tenth of the time of arrays.
+        It uses plain floats: for the few joints of a robot they take a tenth of the time of arrays.
 
         Args:
-            positions: (L, 3), world frame.
-            quats_xyzw: (L, 4), unit, world frame.
+            positions: positions of all links, (L, 3), m, world frame.
+            quats_xyzw: orientations of all links, (L, 4), unit quaternions, world frame.
         """
-        where, turned = positions.tolist(), quats_xyzw.tolist()
-        return [_relative(where[p], turned[p], where[c], turned[c]) for p, c in self._pairs]
+        p, q = positions.tolist(), quats_xyzw.tolist()
+        return [_relative(p[parent], q[parent], p[child], q[child]) for parent, child in self._pairs]
 
 
 def _relative(
@@ -327,7 +327,7 @@ def _relative(
 
 
 class _Layout:
-    """Lays out a message: constant bytes, and variable numbers between them."""
+    """Builds the layout of a message: constant bytes, and variable numbers between them."""
 
     def __init__(self) -> None:
         self._format = "<"
@@ -335,7 +335,7 @@ class _Layout:
         self._constants: list[bytes] = []
 
     def number(self, kind: str, value: int) -> None:
-        """Adds a constant integer of a ``struct`` kind."""
+        """Adds a constant integer of a ``struct`` format character."""
         self._align(struct.calcsize(f"<{kind}"))
         self._pending += struct.pack(f"<{kind}", value)
 
@@ -346,19 +346,19 @@ class _Layout:
         self._pending += data
 
     def doubles(self, values: Sequence[float]) -> None:
-        """Adds constant float64."""
+        """Adds constant float64 values."""
         self._align(8)
         self._pending += struct.pack(f"<{len(values)}d", *values)
 
     def variables(self, kinds: str) -> None:
-        """Adds variable numbers: ``struct`` kinds of one size, such as ``iI`` or ``7d``."""
+        """Adds variable numbers: ``struct`` format characters of one size, such as ``iI`` or ``7d``."""
         self._align(struct.calcsize(f"<{kinds[-1]}"))
         self._flush_constants()
         self._format += kinds
         self._size = struct.calcsize(self._format)
 
     def block(self, count: int) -> None:
-        """Adds ``count`` variable float64, passed as one bytes object."""
+        """Adds ``count`` variable float64 values, which are passed as one bytes object."""
         self._align(8)
         self._flush_constants()
         self._format += f"{8 * count}s"
@@ -370,7 +370,7 @@ class _Layout:
         self.string(frame_id)
 
     def finish(self) -> tuple[Callable[..., bytes], list[bytes]]:
-        """Returns the pack function, and the constants to pass before, between and after the numbers."""
+        """Returns the pack function, and the constants that must be passed before, between and after the numbers."""
         self._flush_constants()
         return struct.Struct(self._format).pack, self._constants
 

@@ -16,8 +16,8 @@ def message_class(type_name: str) -> Any:
         ImportError, AttributeError, ValueError: see ``UNKNOWN``.
     """
     package, kind, name = type_name.split("/")
-    found = getattr(import_module(f"{package}.{kind}"), name)
-    return found.Request if kind == "srv" else found
+    cls = getattr(import_module(f"{package}.{kind}"), name)
+    return cls.Request if kind == "srv" else cls
 
 
 def service_class(type_name: str) -> Any:
@@ -31,6 +31,6 @@ def service_class(type_name: str) -> Any:
 
 
 def type_name_of(cls: Any) -> str:
-    """Returns the type name of a message class, ``sensor_msgs/msg/Image``; for the class of a request, the name of the service type."""
+    """Returns the type name of a message class, such as ``sensor_msgs/msg/Image``; for a request class, the name of the service type."""
     package, _, rest = cls.__module__.partition(".")
     return f"{package}/{rest.partition('.')[0]}/{cls.__name__.removesuffix('_Request')}"
