@@ -14,7 +14,7 @@ from gibson_sim.trials.comparing.comparison import compare
 from gibson_sim.trials.records import Cause, PlacedObject, RunResult, Verdict
 from gibson_sim.trials.report.maps import SceneMap, map_svg
 from gibson_sim.trials.report.page import trial_page
-from gibson_sim.trials.report.paths import read_path, simplified
+from gibson_sim.trials.report.paths import read_path, simplify
 from gibson_sim.trials.report.results import TrialResults
 from support.trial_results import failed, passed, trial
 
@@ -180,7 +180,7 @@ def test_a_path_keeps_its_corners() -> None:
     xy = np.array(
         [(x, 0.01 * (i % 2)) for i, x in enumerate(np.linspace(0, 3, 31))] + [(3.0, y) for y in np.linspace(0.1, 2, 20)]
     )
-    kept = simplified(xy, 0.02)
+    kept = simplify(xy, 0.02)
     assert kept.tolist() == [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0]]
 
 

@@ -64,7 +64,7 @@ def check(scenario: Scenario) -> None:
     """Checks a scenario's stack before any process starts.
 
     Raises:
-        GibsonSimError: its program does not exist, or a setting of the stack cannot be used.
+        GibsonSimError: the stack's program does not exist, or a setting of the stack cannot be used.
     """
     # Imported here: planning and comparing need no ROS domain.
     from gibson_sim.trials.execution import check_stack
@@ -107,7 +107,7 @@ def claimed(folder: Path, *, resume: bool) -> Iterator[None]:
     """Creates the output folder, see ``check_output_folder``, and locks it against other trials within a ``with`` block.
 
     Raises:
-        ConfigError: another trial uses the folder, or it cannot be used.
+        ConfigError: another trial uses the folder, or the folder cannot be used.
         WriteError: the folder cannot be created.
     """
     in_use = ConfigError(
@@ -122,7 +122,7 @@ def finished(folder: Path, runs: Iterable[RunSpec]) -> dict[int, RunResult]:
     """Returns the results of planned runs that an earlier attempt executed with the same plan, by number.
 
     Args:
-        folder: of the trial.
+        folder: folder of the trial.
         runs: planned runs.
     """
     results = {}

@@ -14,7 +14,7 @@ _ERROR = re.compile(r"(?:error: |\[?(?:ERROR|FATAL)\]?:? )(.+)")
 _WAITS = re.compile(r"lockstep: waiting for (.+?); [\d.]+ s so far")
 _CLOCK = "another node publishes /clock"
 """Error of the physics node; a run's ROS domain has no other simulation."""
-_OURS = ("'record'", "'render'")
+_OWN_PARTICIPANTS = ("'record'", "'render'")
 """Lockstep participants of ours besides the trial node, as the physics node names them."""
 _MAX_LENGTH = 300
 """Largest length of a quoted line, characters."""
@@ -77,6 +77,6 @@ def reported_ending(report: TrialReport, physics_output: str) -> Ending:
     waits = _WAITS.findall(physics_output)
     if not waits:
         return Ending(end, report.detail)
-    if any(name in waits[-1] for name in _OURS):
+    if any(name in waits[-1] for name in _OWN_PARTICIPANTS):
         return Ending("simulation failed", f"time waited for {waits[-1]}")
     return Ending(end, f"{report.detail}; physics waited for {clipped(waits[-1], _MAX_LENGTH)}")

@@ -43,7 +43,7 @@ class RunMonitor:
         self._plan = plan
         self._reached, self._failed = re.compile(plan.status.reached), re.compile(plan.status.failed)
         self.goal_ns = self.now_ns = -1
-        """Stamps of the goal and of the newest tick, ns; -1 = none."""
+        """Stamps of the goal and of the latest tick, ns; -1 = none."""
         self.status = ""
         """Latest status text of the stack."""
         self._reported: Decision | None = None

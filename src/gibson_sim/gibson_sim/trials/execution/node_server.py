@@ -36,16 +36,16 @@ class NodeServer:
     def __init__(self, environment: Mapping[str, str]) -> None:
         """Starts the server; ``environment`` is the base environment of its nodes."""
         self._environment = dict(environment)
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with theirs, held_back():
+        own_end, server_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with server_end, held_back():
             self._process = subprocess.Popen(
                 command_of("node_server"),
-                env={**environment, SOCKET_VARIABLE: str(theirs.fileno())},
+                env={**environment, SOCKET_VARIABLE: str(server_end.fileno())},
                 stdin=subprocess.DEVNULL,
-                pass_fds=[theirs.fileno()],
+                pass_fds=[server_end.fileno()],
                 start_new_session=True,
             )
-        self._socket = ours
+        self._socket = own_end
         self._hung_up = False
         """Whether the server has closed its end of the socket."""
         self._running: set[str] = set()

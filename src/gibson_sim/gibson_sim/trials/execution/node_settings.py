@@ -110,7 +110,7 @@ def _check_goal(goal: GoalInterface) -> None:
         )
 
 
-def participants_of(stack: StackSpec, ours: tuple[str, ...]) -> str:
+def participants_of(stack: StackSpec, own: tuple[str, ...]) -> str:
     """Returns the setting ``participants`` of the physics node: our nodes, and the rules of a stack, each with a name.
 
     Raises:
@@ -120,7 +120,7 @@ def participants_of(stack: StackSpec, ours: tuple[str, ...]) -> str:
     for rule in stack.lockstep:
         named_rule = rule if "=" in rule else f"{_NOT_A_NAME.sub('_', rule.split()[0].strip('/')) if rule.split() else ''}={rule}"
         rules.append(named_rule)
-    text = "; ".join((*ours, *rules))
+    text = "; ".join((*own, *rules))
     PhysicsConfig(lockstep=True, participants=text)
     from gibson_sim.standard.lockstep import parse_participants
 

@@ -22,13 +22,13 @@ from gibson_sim.trials.scenario_spec import Scenario
 
 RECOVERED_S = 5.0
 """An event that ended longer than this before a momentary failure did not cause it, s: a robot drives two metres meanwhile."""
-DWELLS_S = 10.0
+HELD_UP_S = 10.0
 """Time near an obstacle on its plan from which a robot counts as held up there, s."""
-LAST_S = 10.0
+FINAL_S = 10.0
 """Time before the end during which a robot that is merely too slow still drives, s."""
-DRIVES_M = 0.5
+DRIVES_MIN_M = 0.5
 """Least distance driven in this time by a robot that still drives, metres: less is turning on the spot and backing up."""
-EXPLAINS = 0.5
+EXPLAINED_SHARE = 0.5
 """Least ratio of the localisation error to the distance to the goal that explains a goal reported too early."""
 _UNINFORMATIVE: tuple[CauseKind, ...] = ("too slow", "verdict", "unknown")
 """Kinds that add no information to the verdicts."""
@@ -46,9 +46,9 @@ _RANKS: tuple[CauseKind, ...] = (
 )  # fmt: skip
 """Order of events that began at the same time."""
 _LOST: tuple[CauseKind, ...] = ("localisation jumped", "localisation off")
-_ASTRAY: tuple[CauseKind, ...] = (*_LOST, "plan through obstacle", "bad command", "slipped")
+_MISGUIDED: tuple[CauseKind, ...] = (*_LOST, "plan through obstacle", "bad command", "slipped")
 """Kinds that lead a robot to a place where it must not be."""
-_LATE: tuple[CauseKind, ...] = (*_ASTRAY, "command ignored", "blocked", "no plan", "no command")
+_DELAYED: tuple[CauseKind, ...] = (*_MISGUIDED, "command ignored", "blocked", "no plan", "no command")
 """Kinds that keep a robot from its goal or delay it."""
 _ENDS: Mapping[str, CauseKind] = {
     "simulation failed": "simulation failed",
@@ -142,7 +142,7 @@ def _is_caused_by(failure: _Failure, event: Event, run: RunSpec, evidence: Evide
     if not event.spots:
         return True
     times = np.arange(event.begin, evidence.duration, GRID_S)
-    return _near(event, run, evidence, at) or sum(_near(event, run, evidence, float(t)) for t in times) * GRID_S >= DWELLS_S
+    return _near(event, run, evidence, at) or sum(_near(event, run, evidence, float(t)) for t in times) * GRID_S >= HELD_UP_S
 
 
 def _near(event: Event, run: RunSpec, evidence: Evidence, t: float) -> bool:
@@ -161,7 +161,7 @@ def _failure(
     itself = Event("verdict", end, end, f"{verdict.name}: {verdict.text}")
     if name in (RUN, "alive", "reached") and outcome.end in _ENDS:
         event = Event(_ENDS[outcome.end], end, end, _abort_text(outcome, measured))
-        return _Failure(event, _LATE if outcome.end == "wall time limit" else ())
+        return _Failure(event, _DELAYED if outcome.end == "wall time limit" else ())
     if name == "alive" and not is_alive(outcome):
         return _Failure(Event("stack died", end, end, verdict.text))
     if name == RUN:
@@ -169,18 +169,18 @@ def _failure(
     if name == "reached" and evidence.truth is not None:
         if outcome.end == "reached":
             return _Failure(itself, (*_LOST, "slipped"), at_once=True)
-        return _Failure(_not_reached(scenario, outcome, evidence, measured), _LATE)
+        return _Failure(_not_reached(scenario, outcome, evidence, measured), _DELAYED)
     if name == "collisions" and evidence.touches is not None:
         touch = touches_after_goal(evidence)[scenario.verdicts.collisions or 0]
-        return _Failure(collision(run, evidence, touch), _ASTRAY, at_once=True)
+        return _Failure(collision(run, evidence, touch), _MISGUIDED, at_once=True)
     if name == "clearance" and measured.clearance is not None:
-        return _Failure(_at("verdict", measured.clearance_time, itself.what, evidence), _ASTRAY, at_once=True)
+        return _Failure(_at("verdict", measured.clearance_time, itself.what, evidence), _MISGUIDED, at_once=True)
     if name in ("stay_within", "stay_out_of") and verdict.value is not None:
-        return _Failure(_at("verdict", verdict.value, itself.what, evidence), _ASTRAY, at_once=True)
+        return _Failure(_at("verdict", verdict.value, itself.what, evidence), _MISGUIDED, at_once=True)
     if name == "time":
-        return _Failure(Event("too slow", end, end, verdict.text), _LATE)
+        return _Failure(Event("too slow", end, end, verdict.text), _DELAYED)
     if name == "path_ratio" and verdict.value is not None:
-        return _Failure(itself, _LATE)
+        return _Failure(itself, _DELAYED)
     return _Failure(itself)
 
 
@@ -212,13 +212,13 @@ def _not_reached(scenario: Scenario, outcome: Outcome, evidence: Evidence, measu
             f"reached: the robot was {distance:.2f} m from the goal at the end, but the stack did not report that it had arrived"
         )
         return _at("verdict", end, what, evidence)
-    times = np.arange(max(0.0, end - LAST_S), end + GRID_S / 2.0, GRID_S * 5)
+    times = np.arange(max(0.0, end - FINAL_S), end + GRID_S / 2.0, GRID_S * 5)
     x, y, _ = evidence.truth.at(times)
     driven = float(np.hypot(np.diff(x), np.diff(y)).sum())
-    if driven >= DRIVES_M:
+    if driven >= DRIVES_MIN_M:
         what = f"the robot was still driving at the time limit of {end:g} s, {distance:.2f} m from the goal"
         return _at("too slow", end, what, evidence)
-    what = f"at the time limit of {end:g} s the robot was {distance:.2f} m from the goal, and had moved {driven:.2f} m in the last {LAST_S:g} s"
+    what = f"at the time limit of {end:g} s the robot was {distance:.2f} m from the goal, and had moved {driven:.2f} m in the last {FINAL_S:g} s"
     return _at("unknown", end, what, evidence)
 
 
@@ -228,7 +228,7 @@ def _goal_mislocated(outcome: Outcome, evidence: Evidence, measured: Measured) -
     if outcome.end != "reached" or truth is None or estimate is None or not distance:
         return None
     off, _ = errors(estimate.poses, truth)
-    explains = off >= EXPLAINS * distance
+    explains = off >= EXPLAINED_SHARE * distance
     if not explains[-1]:
         return None
     small = np.flatnonzero(~explains)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.plots.touches import Touch
-from gibson_sim.trials.judging.evidence import Commands, Estimate, Evidence, Poses, composed, errors
+from gibson_sim.trials.judging.evidence import Commands, Estimate, Evidence, Poses, compose, errors
 from gibson_sim.trials.judging.obstacles import Obstacles, body_obstacles
 from gibson_sim.trials.records import CauseKind, Outcome, RunSpec
 
@@ -39,13 +39,13 @@ COMMANDED_M, COMMANDED_RAD = 0.1, 0.2
 """Least commanded motion in this window: on average 0.05 m/s or 0.1 rad/s."""
 COMMANDED_SHARE = 0.9
 """Least share of this window with nonzero commands."""
-FOLLOWED = 0.1
+FOLLOWED_SHARE = 0.1
 """Share of the commanded motion up to which a robot counts as standing."""
 STANDS_M, STANDS_RAD = 0.02, math.radians(2.0)
 """Motion in this window up to which a robot counts as standing: contact jitter."""
 BEFORE_IMPACT_S = 0.5
 """Time before a contact over which the robot's speed is averaged, s."""
-WHEELS = 0.5
+WHEELS_SHARE = 0.5
 """Share of the commanded motion, by odometry, from which the wheels count as turning."""
 SLIP_S = 5.0
 """Time over which odometry and truth are compared, s."""
@@ -57,7 +57,7 @@ BAD_SHARE = 0.1
 """Least share of commands that are not finite: a single one is rejected and does no harm."""
 STOPPED_S = 5.0
 """Least time without a nonzero command at the end of a run after which the stack counts as no longer commanding, s."""
-ZERO = 1e-3
+ZERO_VELOCITY = 1e-3
 """Velocity up to which a command counts as zero, m/s and rad/s."""
 PLAN_TOLERANCE = 0.5
 """Fraction of a map cell by which the robot's circle may overlap an obstacle along a plan: planners use cell centres."""
@@ -112,7 +112,7 @@ class Motion:
     @property
     def is_commanded(self) -> Bools:
         """(N,): whether the command in force is nonzero."""
-        return np.asarray(np.maximum.reduce([np.abs(self.forward), np.abs(self.sideways), np.abs(self.turning)]) > ZERO)
+        return np.asarray(np.maximum.reduce([np.abs(self.forward), np.abs(self.sideways), np.abs(self.turning)]) > ZERO_VELOCITY)
 
     @classmethod
     def of(cls, evidence: Evidence, timeout: float) -> Motion:
@@ -197,10 +197,8 @@ def _intervals(mask: Bools) -> list[tuple[int, int]]:
 
 def _bad_commands(outcome: Outcome, evidence: Evidence) -> Iterator[Event]:
     """Yields events for commands that are not finite or of an unsupported type."""
-    if evidence.wrong_commands and evidence.commands is None:
-        what = (
-            f"the stack sent commands that no robot accepts: {evidence.wrong_commands}, must be Twist or TwistStamped on cmd_vel"
-        )
+    if evidence.unsupported_commands and evidence.commands is None:
+        what = f"the stack sent commands that no robot accepts: {evidence.unsupported_commands}, must be Twist or TwistStamped on cmd_vel"
         yield Event("command ignored", 0.0, evidence.duration, what, _xy(evidence, 0.0))
     bad = ~evidence.commands.is_finite if evidence.commands is not None else np.zeros(0, dtype=bool)
     if evidence.commands is not None and bad.mean() >= BAD_SHARE:
@@ -225,7 +223,7 @@ def _without_plan_or_command(run: RunSpec, evidence: Evidence, motion: Motion, w
         if evidence.duration - last >= STOPPED_S and not is_at_goal:
             what = f"the stack sent its last nonzero command {evidence.duration - last:.1f} s before the end"
             yield Event("no command", last, evidence.duration, what, _xy(evidence, last))
-    elif not evidence.wrong_commands:
+    elif not evidence.unsupported_commands:
         commands = "no command" if evidence.commands is None else "only zero commands"
         if evidence.plans:
             begin = evidence.plans[0].t
@@ -247,8 +245,8 @@ def _standing(run: RunSpec, evidence: Evidence, motion: Motion) -> Iterator[Even
     moved_m, moved_rad = _moved(motion.truth, span)
     commanded = _sums(motion.is_commanded.astype(np.float64), span)[:-1] >= COMMANDED_SHARE * span
     go, turn = commanded_m >= COMMANDED_M, commanded_rad >= COMMANDED_RAD
-    stands_m = moved_m <= np.maximum(STANDS_M, FOLLOWED * commanded_m)
-    stands_rad = moved_rad <= np.maximum(STANDS_RAD, FOLLOWED * commanded_rad)
+    stands_m = moved_m <= np.maximum(STANDS_M, FOLLOWED_SHARE * commanded_m)
+    stands_rad = moved_rad <= np.maximum(STANDS_RAD, FOLLOWED_SHARE * commanded_rad)
     x, y, _ = motion.truth
     intervals: list[tuple[int, int]] = []
     for first, last in _intervals(commanded & (go | turn) & (~go | stands_m) & (~turn | stands_rad)):
@@ -277,7 +275,7 @@ def _standing(run: RunSpec, evidence: Evidence, motion: Motion) -> Iterator[Even
             begin = max(begin, near[0].begin)
             others = ", ".join(dict.fromkeys(name_of(run, touch.other) for touch in near[:3]))
             yield Event("blocked", begin, end, f"the robot was blocked by {others} for {end - begin:.1f} s", _xy(evidence, begin))
-        elif wheels >= WHEELS:
+        elif wheels >= WHEELS_SHARE:
             yield Event("slipped", begin, end, f"{what}, and its wheels turned on the spot", _xy(evidence, begin))
         else:
             yield Event("command ignored", begin, end, what + _why_ignored(evidence, begin, end), _xy(evidence, begin))
@@ -304,15 +302,15 @@ def _slips(evidence: Evidence, motion: Motion) -> Iterator[Event]:
     for touch in evidence.touches or ():
         free &= (t < touch.begin - GRID_S) | (t > touch.end + GRID_S)
     true_m, true_rad = _lengths(motion.truth[:, ::stride], span)
-    odo_m, odo_rad = _lengths(motion.odometry[:, ::stride], span)
-    slips = (odo_m - true_m > SLIP_M) & (odo_m > SLIP_RATIO * true_m)
-    spins = (odo_rad - true_rad > SLIP_RAD) & (odo_rad > SLIP_RATIO * true_rad)
+    odometry_m, odometry_rad = _lengths(motion.odometry[:, ::stride], span)
+    slips = (odometry_m - true_m > SLIP_M) & (odometry_m > SLIP_RATIO * true_m)
+    spins = (odometry_rad - true_rad > SLIP_RAD) & (odometry_rad > SLIP_RATIO * true_rad)
     untouched = _sums((~free).astype(np.float64), span + 1) == 0.0
     for first, last in _intervals((slips | spins) & untouched):
         if slips[first]:
-            motions = f"odometry measured {odo_m[first]:.2f} m in {SLIP_S:g} s, the robot moved {true_m[first]:.2f} m"
+            motions = f"odometry measured {odometry_m[first]:.2f} m in {SLIP_S:g} s, the robot moved {true_m[first]:.2f} m"
         else:
-            by_wheels, turned = math.degrees(odo_rad[first]), math.degrees(true_rad[first])
+            by_wheels, turned = math.degrees(odometry_rad[first]), math.degrees(true_rad[first])
             motions = f"odometry measured {by_wheels:.0f} deg in {SLIP_S:g} s, the robot turned {turned:.0f} deg"
         begin = float(t[first])
         yield Event(
@@ -398,7 +396,7 @@ def _jumps(estimate: Estimate, truth: Poses | None) -> Iterator[_Jump]:
         return
     t = corrections[1:, 0]
     base = odometry.at(t)
-    before, after = composed(corrections[:-1, 1:].T, base), composed(corrections[1:, 1:].T, base)
+    before, after = compose(corrections[:-1, 1:].T, base), compose(corrections[1:, 1:].T, base)
     metres, radians = np.hypot(*(after - before)[:2]), np.abs(after[2] - before[2])
     for i in np.flatnonzero((metres > JUMP_M) | (radians > JUMP_RAD)):
         # The evidence contains no odometry from before the run.

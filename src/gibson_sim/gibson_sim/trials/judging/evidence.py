@@ -122,7 +122,7 @@ class Evidence:
     commands: Commands | None
     applied: F64 | None
     """(N,), times at which the simulation applied velocity commands, s since the goal."""
-    wrong_commands: str
+    unsupported_commands: str
     """Topic and type of velocity commands that the robot does not accept, if it has no others; empty = none."""
     touches: tuple[Touch, ...] | None
     """Contacts that began before the end and ended after the goal; times in s since the goal."""
@@ -317,7 +317,7 @@ class _Reading:
             estimate=estimate,
             commands=_commands(rows.commands, command_topic),
             applied=np.array(rows.applied, dtype=np.float64) if has_journal else None,
-            wrong_commands=unsupported[0] if unsupported and not command_topic else "",
+            unsupported_commands=unsupported[0] if unsupported and not command_topic else "",
             touches=touches if self._touches.topics else None,
             plans=tuple(rows.plans),
             floor=_floor(self._map, self._maps[0] if self._maps else ""),
@@ -336,7 +336,7 @@ def errors(estimate: Poses, truth: Poses) -> tuple[F64, F64]:
     return np.hypot(estimate.x - x, estimate.y - y), turn
 
 
-def composed(correction: F64, pose: F64) -> F64:
+def compose(correction: F64, pose: F64) -> F64:
     """Returns T_map_base (3, ...) from T_map_odom and T_odom_base, each x, y, yaw as (3, ...)."""
     x, y, yaw = correction
     c, s = np.cos(yaw), np.sin(yaw)
@@ -382,7 +382,7 @@ def _estimate(rows: _Rows, odometry: Poses | None, duration: float) -> Estimate 
         return None
     t = odometry.t[known]
     index = np.searchsorted(corrections[:, 0], t, side="right") - 1
-    x, y, yaw = composed(corrections[index, 1:].T, odometry.at(t))
+    x, y, yaw = compose(corrections[index, 1:].T, odometry.at(t))
     return Estimate(Poses(t, x, y, yaw), corrections, odometry, source)
 
 

@@ -23,7 +23,7 @@ from gibson_sim.trials.records import RunSpec
 F64 = NDArray[np.float64]
 MAP_HEIGHT = 0.5
 """Height above the floor up to which objects count as obstacles, m, as in a map for a robot of unknown height."""
-_FINE = 0.02
+_CELL_SIZE = 0.02
 """Cell size for bodies, metres."""
 _SCENES = 16
 """Number of scenes kept in memory."""
@@ -132,11 +132,11 @@ def _body_cells(scene: SceneSpec, body: BodySpec) -> Obstacles | None:
     if not len(triangles):
         return None
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-    columns, rows = np.maximum(1, np.ceil((high - low) / _FINE).astype(int) + 1)
-    nothing = np.zeros((rows, columns), dtype=bool)
-    floor = FloorMap(_FINE, (float(low[0]), float(low[1])), nothing, ~nothing, floor_z=scene.floor_z)
+    columns, rows = np.maximum(1, np.ceil((high - low) / _CELL_SIZE).astype(int) + 1)
+    no_cells = np.zeros((rows, columns), dtype=bool)
+    floor = FloorMap(_CELL_SIZE, (float(low[0]), float(low[1])), no_cells, ~no_cells, floor_z=scene.floor_z)
     cells = np.argwhere(floor.furnished(vertices, triangles, MAP_HEIGHT).occupied)
-    return Obstacles.of(body.name, floor.centers(cells), _FINE) if len(cells) else None
+    return Obstacles.of(body.name, floor.centers(cells), _CELL_SIZE) if len(cells) else None
 
 
 def place_text(run: RunSpec, x: float, y: float) -> str:

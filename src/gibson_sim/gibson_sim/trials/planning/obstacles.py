@@ -33,15 +33,15 @@ F64 = NDArray[np.float64]
 ON_PATH = "path"
 _TRIES = 60
 """Number of places tried for an object or a person."""
-_APART = 0.3
+_END_CLEARANCE = 0.3
 """Least distance of objects and people from the robot's circle at start and goal, metres."""
-_BESIDE = 0.3
+_MAX_PATH_OFFSET = 0.3
 """Largest distance of an object's origin from the edge of the robot on the path, metres."""
-_ALONG = (0.15, 0.85)
+_PATH_PART = (0.15, 0.85)
 """Part of the path, as fractions of its length, where objects stand and people cross."""
-_WALK = (0.7, 2.5)
+_WALK_RANGE = (0.7, 2.5)
 """Least and largest distance of a person's turning points from the robot's path, metres."""
-_STEP = 0.05
+_SEARCH_STEP = 0.05
 """Increment in the search for turning points, metres."""
 
 
@@ -89,10 +89,10 @@ def _shape(object_name: str) -> _Shape:
     return _Shape((ax, ay, az), (bx, by, bz))
 
 
-def obstructed(
+def place_obstacles(
     site: Site, places: Places, obstacles: Obstacles, seed: int, attempt: int
 ) -> tuple[Places, tuple[PlacedObject, ...], tuple[Person, ...]]:
-    """Returns start and goal with the shortest path around the objects, the objects, and the people.
+    """Places the obstacles of a run; returns start and goal with the shortest path around the objects, the objects, and the people.
 
     Args:
         site: scene and robot.
@@ -183,8 +183,8 @@ class _Placer:
         return round(x, 6), round(y, 6), round(yaw, 6)
 
     def _beside_path(self, rng: np.random.Generator) -> XY:
-        beside = self._site.robot.radius + _BESIDE
-        at, across = rng.uniform(*_ALONG), rng.uniform(-beside, beside)
+        beside = self._site.robot.radius + _MAX_PATH_OFFSET
+        at, across = rng.uniform(*_PATH_PART), rng.uniform(-beside, beside)
         (x, y), (dx, dy) = _along(self._places.path, at)
         return round(x - across * dy, 4), round(y + across * dx, 4)
 
@@ -205,8 +205,8 @@ class _Placer:
         if self._site.swept is not None and (cells & self._site.swept).any():
             return f"would block a door that closes in scene {quoted(self._site.scene_name)}"
         for end, pose in (("start", self._places.start), ("goal", self._places.goal)):
-            if _distance_to_polygon(pose[:2], corners) < self._site.robot.radius + _APART:
-                return f"would stand within {_APART:g} m of the robot at the {end} ({pose[0]:.2f}, {pose[1]:.2f})"
+            if _distance_to_polygon(pose[:2], corners) < self._site.robot.radius + _END_CLEARANCE:
+                return f"would stand within {_END_CLEARANCE:g} m of the robot at the {end} ({pose[0]:.2f}, {pose[1]:.2f})"
         self._next = replace(self.floor, occupied=self.floor.occupied | cells)
         if not self._site.connected(self._places.start[:2], self._places.goal[:2], self._next):
             return f"would leave no path from {_text(self._places.start)} to {_text(self._places.goal)}"
@@ -228,14 +228,14 @@ def _person(
 ) -> Person:
     """Returns a person on the path of the rule, or on a path across the robot's path."""
     path = rule.path or _across(site, places, rule, floor, key, rng)
-    room = rule.radius + site.robot.radius + _APART
+    room = rule.radius + site.robot.radius + _END_CLEARANCE
     for point in rule.path:
         if not floor.look_up(np.ones(floor.shape, dtype=bool), point, outside=False):
             raise NoPlaceError(
                 f"{key}.path", f"has ({point[0]:g}, {point[1]:g}), outside the map of scene {quoted(site.scene_name)}"
             )
-    if rule.path and path_length(path) < _STEP:
-        raise NoPlaceError(f"{key}.path", f"is {path_length(path):.2f} m long, must be {_STEP:g} m or more")
+    if rule.path and path_length(path) < _SEARCH_STEP:
+        raise NoPlaceError(f"{key}.path", f"is {path_length(path):.2f} m long, must be {_SEARCH_STEP:g} m or more")
     if min(_distance_to_line(places.start[:2], a, b) for a, b in pairwise(path)) < room:
         raise NoRoomError(
             f"{key}.path",
@@ -247,9 +247,9 @@ def _person(
 
 def _across(site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: str, rng: np.random.Generator) -> tuple[XY, ...]:
     """Returns two free points on opposite sides of the robot's path, with a free line between them."""
-    room = rule.radius + site.robot.radius + _APART
+    room = rule.radius + site.robot.radius + _END_CLEARANCE
     for _ in range(_TRIES):
-        (x, y), (dx, dy) = _along(places.path, float(rng.uniform(*_ALONG)))
+        (x, y), (dx, dy) = _along(places.path, float(rng.uniform(*_PATH_PART)))
         if min(math.dist((x, y), end[:2]) for end in (places.start, places.goal)) < room:
             continue
         angle = rng.uniform(-0.6, 0.6)
@@ -257,17 +257,20 @@ def _across(site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: 
         nx, ny = -dy * c - dx * s, dx * c - dy * s
         ends = []
         for side in (1.0, -1.0):
-            distances = np.arange(_STEP, _WALK[1] + _STEP / 2, _STEP)
+            distances = np.arange(_SEARCH_STEP, _WALK_RANGE[1] + _SEARCH_STEP / 2, _SEARCH_STEP)
             line = np.array([x, y]) + side * distances[:, None] * np.array([nx, ny])
             free = floor.clearance(line) >= rule.radius
             walked = len(free) if free.all() else int((~free).argmax())
             ends.append(
                 (
-                    walked * _STEP,
-                    (round(float(x + side * walked * _STEP * nx), 4), round(float(y + side * walked * _STEP * ny), 4)),
+                    walked * _SEARCH_STEP,
+                    (
+                        round(float(x + side * walked * _SEARCH_STEP * nx), 4),
+                        round(float(y + side * walked * _SEARCH_STEP * ny), 4),
+                    ),
                 )
             )
-        if min(walked for walked, _ in ends) < _WALK[0]:
+        if min(walked for walked, _ in ends) < _WALK_RANGE[0]:
             continue
         a, b = ends[0][1], ends[1][1]
         if _distance_to_line(places.start[:2], a, b) >= room:
@@ -299,11 +302,11 @@ def _distance_to_line(point: Sequence[float], a: XY, b: XY) -> float:
 
 def _distance_to_polygon(point: Sequence[float], corners: F64) -> float:
     """Returns the distance of a point from a convex polygon (K, 2), counter-clockwise, metres; 0 inside."""
-    nexts = np.roll(corners, -1, axis=0)
-    edges, offsets = nexts - corners, np.asarray(point) - corners
+    next_corners = np.roll(corners, -1, axis=0)
+    edges, offsets = next_corners - corners, np.asarray(point) - corners
     if (edges[:, 0] * offsets[:, 1] - edges[:, 1] * offsets[:, 0] >= 0.0).all():
         return 0.0
-    return min(_distance_to_line(point, tuple(a), tuple(b)) for a, b in zip(corners.tolist(), nexts.tolist(), strict=True))
+    return min(_distance_to_line(point, tuple(a), tuple(b)) for a, b in zip(corners.tolist(), next_corners.tolist(), strict=True))
 
 
 def _text(pose: Sequence[float]) -> str:

@@ -20,7 +20,7 @@ from gibson_sim.trials.scenario_spec import SAMPLED, Sampling
 F64 = NDArray[np.float64]
 _TRIES = 40
 """Number of starts tried until one has a goal at the right distance."""
-_TOO_LONG = 1.014
+_GRID_PATH_RATIO = 1.014
 """Largest ratio of the length of a path on the grid to the length of the same path pulled taut."""
 _MIN_DISTANCE = 0.1
 """Least distance between start and goal, metres."""
@@ -46,8 +46,10 @@ class NoPlaceError(ConfigError):
         self.key = key
 
 
-def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, attempt: int, keys: tuple[str, str]) -> Places:
-    """Returns start and goal of a run.
+def choose_places(
+    site: Site, start: str, goal: str, sampling: Sampling, seed: int, attempt: int, keys: tuple[str, str]
+) -> Places:
+    """Returns start, goal and shortest path of a run: given, or sampled.
 
     Args:
         site: scene and robot.
@@ -71,7 +73,7 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
     swung = site.swept_distance < clearance
     region = site.free_region(clearance) & ~swung
     low, high = sampling.path_length
-    longest = 0.0
+    max_distance = 0.0
     for _ in range(_TRIES):
         fixed = given[0] or given[1]
         first = fixed or _sample(site, rng, clearance, region)
@@ -83,8 +85,8 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
         if fixed is not None and not reachable.any():
             # The given place is in another region, such as a room behind a closed door.
             region = reachable = np.asarray(np.isfinite(distances) & ~swung)
-        longest = max(longest, float(distances[reachable].max(initial=0.0)))
-        within = region & (distances >= min(low * _TOO_LONG, high)) & (distances <= high)
+        max_distance = max(max_distance, float(distances[reachable].max(initial=0.0)))
+        within = region & (distances >= min(low * _GRID_PATH_RATIO, high)) & (distances <= high)
         if (within & site.floor.inflate(clearance)).any():
             second = _sample(site, rng, clearance, within)
             ends = (first, second) if given[1] is None else (second, first)
@@ -95,7 +97,7 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
     raise NoPlaceError(
         "sampling.path_length",
         f"is {low:g} to {high:g} m, but scene {quoted(site.scene_name)} has no such path {origin}for robot {quoted(site.robot_name)} of radius "
-        f"{site.robot.radius:.2f} m, {clearance:.2f} m from obstacles at both ends; the longest path found is {longest:.1f} m",
+        f"{site.robot.radius:.2f} m, {clearance:.2f} m from obstacles at both ends; the longest path found is {max_distance:.1f} m",
     )
 
 
@@ -135,7 +137,7 @@ def _between(site: Site, start: PlanarPose, goal: PlanarPose, keys: tuple[str, s
     try:
         shortest, path = site.shortest(start[:2], goal[:2])
     except SceneError as error:
-        if site.doors_cut(start[:2], goal[:2]):
+        if site.closed_doors_block(start[:2], goal[:2]):
             raise NoPlaceError(
                 "obstacles.closed_doors", f"leave no path from {endpoints}; leave one open, or give other places"
             ) from error

@@ -22,11 +22,11 @@ from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
-from gibson_sim.trials.planning.obstacles import NoRoomError, obstructed
-from gibson_sim.trials.planning.places import NoPlaceError, given_place, places_of
+from gibson_sim.trials.planning.obstacles import NoRoomError, place_obstacles
+from gibson_sim.trials.planning.places import NoPlaceError, choose_places, given_place
 from gibson_sim.trials.planning.robots import VariedRobot, check_variants, ranges_of
 from gibson_sim.trials.planning.seeds import seed_of, stream
-from gibson_sim.trials.planning.site import Bools, Site, cells_of_closing_doors, with_closed_doors
+from gibson_sim.trials.planning.site import Bools, Site, swept_door_cells, with_closed_doors
 from gibson_sim.trials.records import PlanarPose, RunSpec
 from gibson_sim.trials.scenario.load import ScenarioError
 from gibson_sim.trials.scenario_spec import SAMPLED, InitialPose, Scenario
@@ -138,7 +138,7 @@ def _sites(scenario: Scenario, number: int, robots: Sequence[RobotSpec]) -> list
     for robot_name, robot in zip(scenario.robots, robots, strict=True):
         try:
             if robot.height not in maps:
-                swept = cells_of_closing_doors(scene, doors, robot) if doors else None
+                swept = swept_door_cells(scene, doors, robot) if doors else None
                 maps[robot.height] = furnished_floor_map(closed, robot), swept
         except GibsonSimError as error:
             raise _error(scenario, f"{key} is {quoted(name)}: {error}") from error
@@ -156,8 +156,8 @@ def _run(scenario: Scenario, site: Site, varied: VariedRobot | None, number: int
     attempts = _ATTEMPTS if SAMPLED in (start, goal) else 1
     for attempt in range(attempts):
         try:
-            places = places_of(site, start, goal, scenario.sampling, seed, attempt, keys)
-            places, things, people = obstructed(site, places, scenario.obstacles, seed, attempt)
+            places = choose_places(site, start, goal, scenario.sampling, seed, attempt, keys)
+            places, objects, people = place_obstacles(site, places, scenario.obstacles, seed, attempt)
             break
         except NoRoomError as error:
             if attempt == attempts - 1:
@@ -181,7 +181,7 @@ def _run(scenario: Scenario, site: Site, varied: VariedRobot | None, number: int
         shortest=places.shortest,
         radius=round(site.robot.radius, 6),
         initial_error=_initial_error(scenario.stack.initial_pose, seed),
-        things=things,
+        things=objects,
         closed_doors=site.closed_doors,
         people=people,
         physics=physics,

@@ -33,19 +33,19 @@ from gibson_sim.writing import write_file
 
 FOLDER = "robot"
 """Subfolder of a run's folder."""
-DRAWN = ("slip", "noise", "latency", "friction", "payload")
+SAMPLED_VALUES = ("slip", "noise", "latency", "friction", "payload")
 """Names of the values sampled for a robot."""
-_RANGING = {"range_noise": np.inf, "range_noise_ratio": 0.2, "range_scale": 0.2, "dropout": 1.0}
-_NOISES: Mapping[str, Mapping[str, float]] = {
-    "lidar": _RANGING,
-    "lidar_3d": _RANGING,
+_RANGE_NOISE = {"range_noise": np.inf, "range_noise_ratio": 0.2, "range_scale": 0.2, "dropout": 1.0}
+_NOISE_KEYS: Mapping[str, Mapping[str, float]] = {
+    "lidar": _RANGE_NOISE,
+    "lidar_3d": _RANGE_NOISE,
     "imu": dict.fromkeys(("gyro_noise", "accel_noise", "gyro_bias", "accel_bias", "gyro_bias_walk", "accel_bias_walk"), np.inf),
     "effects": {"shot_noise": 1.0, "read_noise": 1.0},
     "depth_noise": {"constant": np.inf, "linear": np.inf, "quadratic": np.inf, "hole_fraction": 1.0},
 }
 """Section of a robot.yaml -> keys that scale with the noise, and the largest value of each."""
-_VARIANCES = ("alpha1", "alpha2", "alpha3", "alpha4")
-_RATIOS = ("left_radius_factor", "right_radius_factor", "separation_factor")
+_VARIANCE_KEYS = ("alpha1", "alpha2", "alpha3", "alpha4")
+_RATIO_KEYS = ("left_radius_factor", "right_radius_factor", "separation_factor")
 """Keys of wheel_odometry whose difference from 1 is the error."""
 _RATIO_LIMITS = (0.5, 2.0)
 _TRACTION = {"skid_steer": 0.8, "omni": 0.5}
@@ -104,7 +104,7 @@ class VariedRobot:
         """Returns a variant: the texts of its files by path in the folder of a run.
 
         Args:
-            drawn: sampled values by name, see ``DRAWN``; missing values are left unchanged.
+            drawn: sampled values by name, see ``SAMPLED_VALUES``; missing values are left unchanged.
         """
         values, urdf = copy.deepcopy(self._values), copy.deepcopy(self._urdf)
         values["urdf"] = Path(self.file).with_suffix(".urdf").name
@@ -144,7 +144,7 @@ class VariedRobot:
 
 def ranges_of(rules: Randomisation) -> dict[str, Range]:
     """Returns the ranges of the values sampled for a robot, by name; empty = the robot does not vary."""
-    return {name: limits for name in DRAWN if (limits := getattr(rules, name)) is not None}
+    return {name: limits for name in SAMPLED_VALUES if (limits := getattr(rules, name)) is not None}
 
 
 def check_variants(robot: VariedRobot, ranges: Mapping[str, Range]) -> None:
@@ -193,11 +193,11 @@ def _scaled(values: dict[str, Any], factor: float) -> dict[str, Any]:
     wheels = scaled.get("wheel_odometry")
     if wheels is not None:
         odometry = dict(wheels)
-        odometry.update({key: _rounded(wheels[key] * factor**2) for key in _VARIANCES if key in wheels})
+        odometry.update({key: _rounded(wheels[key] * factor**2) for key in _VARIANCE_KEYS if key in wheels})
         odometry.update(
             {
                 key: _rounded(float(np.clip(1.0 + (wheels[key] - 1.0) * factor, *_RATIO_LIMITS)))
-                for key in _RATIOS
+                for key in _RATIO_KEYS
                 if key in wheels
             }
         )
@@ -206,7 +206,7 @@ def _scaled(values: dict[str, Any], factor: float) -> dict[str, Any]:
 
 
 def _multiplied(content: Mapping[str, Any], section: str, factor: float) -> dict[str, Any]:
-    limits = _NOISES[section]
+    limits = _NOISE_KEYS[section]
     return {**content, **{key: _rounded(min(content[key] * factor, most)) for key, most in limits.items() if key in content}}
 
 

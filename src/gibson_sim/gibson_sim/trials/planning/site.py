@@ -32,7 +32,7 @@ XY = tuple[float, float]
 
 MARGIN = 0.04
 """Clearance of paths in addition to the robot's radius, metres: a path without any cannot be driven."""
-WIDE = 0.15
+WIDE_MARGIN = 0.15
 """Clearance of the path that objects leave free, if such a path exists without them, m: enough for a stack's noise and inflation."""
 _HANDLES = ("handle", "lever", "knob")
 """Suffixes of the names of joints that do not open anything."""
@@ -82,14 +82,14 @@ def _openings(body: BodySpec) -> dict[str, float]:
     }
 
 
-def _closed(body: BodySpec, part: float = 1.0) -> BodySpec:
+def _closed(body: BodySpec, fraction: float = 1.0) -> BodySpec:
     """Returns a body with its doors closed by a fraction of their travel, 0 to 1."""
     positions = dict(body.joints)
-    moved = {name: (1.0 - part) * positions.get(name, closed) + part * closed for name, closed in _openings(body).items()}
+    moved = {name: (1.0 - fraction) * positions.get(name, closed) + fraction * closed for name, closed in _openings(body).items()}
     return replace(body, joints=tuple({**positions, **moved}.items()))
 
 
-def cells_of_closing_doors(scene: SceneSpec, doors: Sequence[str], robot: RobotSpec) -> Bools:
+def swept_door_cells(scene: SceneSpec, doors: Sequence[str], robot: RobotSpec) -> Bools:
     """Returns a mask (H, W) of the map cells that closing doors sweep: a run starts with the doors at their positions after loading.
 
     Args:
@@ -99,13 +99,13 @@ def cells_of_closing_doors(scene: SceneSpec, doors: Sequence[str], robot: RobotS
     """
     closed = furnished_floor_map(_with_doors_moved(scene, doors, 1.0), robot).occupied
     swept = np.zeros_like(closed)
-    for part in np.arange(_SWING_STEPS) / _SWING_STEPS:
-        swept |= furnished_floor_map(_with_doors_moved(scene, doors, float(part)), robot).occupied
+    for fraction in np.arange(_SWING_STEPS) / _SWING_STEPS:
+        swept |= furnished_floor_map(_with_doors_moved(scene, doors, float(fraction)), robot).occupied
     return np.asarray(swept & ~closed)
 
 
-def _with_doors_moved(scene: SceneSpec, doors: Sequence[str], part: float) -> SceneSpec:
-    return replace(scene, bodies=tuple(_closed(body, part) if body.name in doors else body for body in scene.bodies))
+def _with_doors_moved(scene: SceneSpec, doors: Sequence[str], fraction: float) -> SceneSpec:
+    return replace(scene, bodies=tuple(_closed(body, fraction) if body.name in doors else body for body in scene.bodies))
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Site:
     _regions: dict[float, Bools] = field(default_factory=dict)
     _paths: dict[tuple[XY, XY], tuple[float, F64]] = field(default_factory=dict)
     _wide: dict[tuple[XY, XY], bool] = field(default_factory=dict)
-    """(start, goal) -> whether a path with a clearance of ``WIDE`` connects them."""
+    """(start, goal) -> whether a path with a clearance of ``WIDE_MARGIN`` connects them."""
 
     @property
     def clearance(self) -> float:
@@ -194,8 +194,8 @@ class Site:
         return True
 
     def connected(self, start: XY, goal: XY, floor: FloorMap) -> bool:
-        """Returns whether a map has a path between two points: with a clearance of ``WIDE`` if the site has such a path, else ``clearance``."""
-        wide = self.robot.radius + WIDE
+        """Returns whether a map has a path between two points, with ``WIDE_MARGIN`` if the site has such a path, else with ``clearance``."""
+        wide = self.robot.radius + WIDE_MARGIN
         if (start, goal) not in self._wide:
             self._wide[start, goal] = _connected(start, goal, self.floor, wide)
         return _connected(start, goal, floor, wide if self._wide[start, goal] else self.clearance)
@@ -260,8 +260,8 @@ class Site:
             )
         return x, y, math.remainder(2.0 * math.atan2(qz, qw), 2.0 * math.pi)
 
-    def doors_cut(self, start: XY, goal: XY) -> bool:
-        """Returns whether a path exists with open doors."""
+    def closed_doors_block(self, start: XY, goal: XY) -> bool:
+        """Returns whether doors are closed and a path exists if they are open."""
         return bool(self.closed_doors) and self.connected(start, goal, furnished_floor_map(self.open_scene, self.robot))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 SECONDS = 10.0
 """Time before the last line from which stamped lines are tail, seconds of the clock of the stamps."""
-_MAX_BYTES, _MAX_LINES, _MAX_LINE_LENGTH, _WITHOUT_STAMPS = 64_000, 80, 240, 40
+_MAX_BYTES, _MAX_LINES, _MAX_LINE_LENGTH, _MAX_UNSTAMPED_LINES = 64_000, 80, 240, 40
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?|[@-Z\\-_])")
 """ANSI sequences: colours, cursor moves, titles."""
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff]")
@@ -31,7 +31,7 @@ def log_tail(path: Path) -> str:
     tail = lines[-_MAX_LINES:]
     stamps = [(i, float(match[1])) for i, line in enumerate(tail) for match in [_STAMP.search(line)] if match]
     if not stamps:
-        return "\n".join(tail[-_WITHOUT_STAMPS:])
+        return "\n".join(tail[-_MAX_UNSTAMPED_LINES:])
     first = next(i for i, stamp in stamps if stamp >= stamps[-1][1] - SECONDS)
     return "\n".join(tail[first:])
 

@@ -29,7 +29,7 @@ from gibson_sim.trials.report.words import (
 )
 
 FILE = "index.html"
-_OPEN = 3
+_INITIALLY_OPEN = 3
 """Number of failed runs whose details are initially open."""
 _MAX_PICTURES = 24_000_000
 """Largest total size of the page's pictures, bytes; pictures of later runs are omitted."""
@@ -205,7 +205,10 @@ def _failures(trial: TrialResults, folder: Path, options: Sequence[str]) -> str:
     if not trial.failed:
         return ""
     pictures = _Pictures()
-    parts = [_failure(result, trial.file, folder, options, pictures, is_open=i < _OPEN) for i, result in enumerate(trial.failed)]
+    parts = [
+        _failure(result, trial.file, folder, options, pictures, is_open=i < _INITIALLY_OPEN)
+        for i, result in enumerate(trial.failed)
+    ]
     left_out = (
         f'<p class="quiet">The pictures of {pictures.left_out} more failed runs are not embedded; they are in the folders of the runs.</p>'
         if pictures.left_out

@@ -61,11 +61,11 @@ def true_path(bag: Path) -> Points:
         positions = [message.pose.pose.position for _, _, message in reader.messages(topics[:1])]
     xy = np.array([(p.x, p.y) for p in positions], dtype=np.float64).reshape(-1, 2)
     xy = xy[(np.abs(xy) < _LARGEST).all(axis=1)]
-    return tuple((float(x), float(y)) for x, y in simplified(xy, _TOLERANCE))
+    return tuple((float(x), float(y)) for x, y in simplify(xy, _TOLERANCE))
 
 
-def simplified(xy: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
-    """Returns a polyline (N, 2) simplified within a tolerance (Ramer-Douglas-Peucker)."""
+def simplify(xy: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+    """Returns the vertices (M, 2) of a polyline (N, 2) that remain after simplification within a tolerance (Ramer-Douglas-Peucker)."""
     if len(xy) < 3:
         return xy
     kept = np.zeros(len(xy), dtype=bool)

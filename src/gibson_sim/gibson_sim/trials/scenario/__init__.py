@@ -1,1 +1,1 @@
-"""The scenario file: reading it with checks, and its JSON schema. ``docs/trial_file.md`` is for users."""
+"""The scenario file: loading, validation and JSON schema. User documentation: ``docs/trial_file.md``."""

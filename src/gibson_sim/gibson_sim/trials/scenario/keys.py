@@ -57,15 +57,15 @@ from gibson_sim.trials.scenario_spec import (
 MAX_RUNS = 10_000
 """Largest number of runs of a trial, all scenes and robots together."""
 ALL = "all"
-"""Stands for all scenes that are found by name, and for all doors of a scene."""
+"""Value that stands for all scenes found by name, and for all doors of a scene."""
 SET_BY_TRIAL = (
     "scene", "robot", "start", "robot_tf", "start_paused", "seed", "duration", "randomise", "randomise_seed", "service_prefix", "lockstep",
     "participants", "participant_timeout", "on_timeout", "digests", "wait_for", "summary_path",
 )  # fmt: skip
 """Settings of the physics node that a scenario file cannot set under ``physics``: the trial sets them from other keys."""
-_FAR = 10_000.0
+_MAX_COORDINATE = 10_000.0
 """Largest coordinate, metres."""
-_DAY = 86_400.0
+_DAY_S = 86_400.0
 """Length of a day, seconds."""
 _ROS_NAME = r"/?(?!.*__)[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
 _TOPIC = Text("the name of a topic: letters, digits, _ and /, no digit at the beginning of a part", _ROS_NAME)
@@ -159,7 +159,10 @@ class _Goal:
 
 _REGEX = Text("a regular expression", check=_regex_problem)
 _REGIONS = OrNone(
-    ListOf(Section(Region, {"name": Text("a name"), "corners": ListOf(Point(_FAR), 1000, 3, allow_single=False)}), 100, 0), ()
+    ListOf(
+        Section(Region, {"name": Text("a name"), "corners": ListOf(Point(_MAX_COORDINATE), 1000, 3, allow_single=False)}), 100, 0
+    ),
+    (),
 )
 _POSES = ListOf(Text("sampled, the name of a pose, or 'x,y,yaw_deg' in quotes"), 1000)
 _ANGLE = Number(0.0, 180.0)
@@ -195,7 +198,7 @@ _OBSTACLES = Section(Obstacles, {
     }, short="object"), 50, 0),
     "closed_doors": ListOf(Text("the name of a body with a door, or all"), 200, 0),
     "people": ListOf(Section(PersonRule, {
-        "path": ListOf(Point(_FAR), 200, 2, allow_single=False),
+        "path": ListOf(Point(_MAX_COORDINATE), 200, 2, allow_single=False),
         "speed": Number(0.01, 10.0),
         "radius": Number(0.05, 2.0),
         "height": Number(0.2, 3.0),
@@ -218,7 +221,7 @@ _VERDICTS = Section(Verdicts, {
     "stay_within": _REGIONS,
     "stay_out_of": _REGIONS,
     "path_ratio": OrNone(Number(1.0, 1000.0)),
-    "time": OrNone(Number(0.1, _DAY)),
+    "time": OrNone(Number(0.1, _DAY_S)),
     "max_acceleration": OrNone(Number(0.001, 1000.0)),
     "rates": OrNone(ListOf(Section(RateLimit, {"topic": _TOPIC, "least": Number(0.001, 100_000.0)}), 100, 0), ()),
     "alive": OrNone(Flag(), False),
@@ -233,13 +236,13 @@ SCENARIO = Section(Scenario, {
     "seed": Number(0, 2**53, whole=True),
     "starts": _POSES,
     "goals": _POSES,
-    "sampling": Section(Sampling, {"path_length": Span(0.1, _FAR), "clearance": Number(0.0, 10.0)}),
+    "sampling": Section(Sampling, {"path_length": Span(0.1, _MAX_COORDINATE), "clearance": Number(0.0, 10.0)}),
     "obstacles": _OBSTACLES,
     "randomise": _RANDOMISATION,
     "physics": SettingsOf(PhysicsConfig, SET_BY_TRIAL),
     "limits": Section(Limits, {
-        "time": Number(0.1, _DAY),
-        "wall_time": Number(1.0, 7 * _DAY),
+        "time": Number(0.1, _DAY_S),
+        "wall_time": Number(1.0, 7 * _DAY_S),
         "silence": Number(0.1, 3600.0),
     }),
     "verdicts": _VERDICTS,

@@ -186,8 +186,8 @@ class Span:
 
     def schema(self) -> Schema:
         """See ``Kind``."""
-        one = Number(self.low, self.high).schema()
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 2, "maxItems": 2}]}
+        item_schema = Number(self.low, self.high).schema()
+        return {"anyOf": [item_schema, {"type": "array", "items": item_schema, "minItems": 2, "maxItems": 2}]}
 
     @property
     def allowed(self) -> str:
@@ -239,9 +239,9 @@ class ListOf:
 
     def schema(self) -> Schema:
         """See ``Kind``."""
-        one = self.kind.schema()
-        array = {"type": "array", "items": one, "minItems": self.minimum, "maxItems": self.maximum}
-        return {"anyOf": [one, array]} if self.allow_single else array
+        item_schema = self.kind.schema()
+        array = {"type": "array", "items": item_schema, "minItems": self.minimum, "maxItems": self.maximum}
+        return {"anyOf": [item_schema, array]} if self.allow_single else array
 
     @property
     def allowed(self) -> str:
@@ -274,7 +274,7 @@ class OrNone:
 
 @dataclass(frozen=True, slots=True)
 class CommandLine:
-    """A command line: one text that is split like in a shell, or a list of texts."""
+    """A command line: one text that is split as in a shell, or a list of texts."""
 
     maximum: int
     """Largest number of arguments, program included."""
