@@ -140,7 +140,7 @@ class Renderer:
             return None if spec is None else self._splats
         path = Path(spec.file)
         if self._allowed_roots is not None and not is_inside(path, self._allowed_roots):
-            raise SceneError(f"{path}: lies outside the folders that are allowed: {', '.join(map(str, self._allowed_roots))}")
+            raise SceneError(f"{path}: lies outside the allowed folders: {', '.join(map(str, self._allowed_roots))}")
         T_world_file = matrix_from_pose(spec.pose)
         T_world_file[:3, :3] *= spec.scale
         return SplatPass(self.context, load_splats(path), T_world_file, cull=self._cull)

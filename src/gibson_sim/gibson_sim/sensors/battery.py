@@ -1,4 +1,4 @@
-"""A battery that is discharged by the power that its robot draws. Pure."""
+"""A battery discharged by the power that its robot draws. Pure."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class BatteryReading:
     """Name of the sensor."""
     stamp_ns: int
     percentage: float
-    """Charge, 0 to 1 of the capacity."""
+    """State of charge, 0 to 1."""
     voltage: float
-    """V."""
+    """Voltage, V."""
     current: float
-    """A, negative while it is discharged, 0 when it is empty."""
+    """Current, A; negative while discharging, 0 when empty."""
     charge_ah: float
     """Remaining charge, A h."""
     capacity_ah: float
@@ -40,7 +40,7 @@ class BatteryReading:
 
 
 class Battery:
-    """A battery. It integrates energy, so that the length of steps does not matter."""
+    """A battery. It integrates energy, so that the result does not depend on the step size."""
 
     def __init__(self, spec: BatterySpec) -> None:
         """Starts with the initial charge of the spec."""
@@ -53,13 +53,13 @@ class Battery:
         self._energy = self._energy_at(self.spec.start)
 
     def power(self, joints: JointStates) -> float:
-        """Returns the power that the robot draws with these efforts and velocities of its joints, W."""
+        """Returns the power that the robot draws at the given joint efforts and velocities, W."""
         spec = self.spec
-        work = np.maximum(joints.efforts * joints.velocities, 0.0).sum() / spec.efficiency
-        return spec.idle_w + float(work + spec.torque_w * np.abs(joints.efforts).sum())
+        mechanical_w = np.maximum(joints.efforts * joints.velocities, 0.0).sum() / spec.efficiency
+        return spec.idle_w + float(mechanical_w + spec.torque_w * np.abs(joints.efforts).sum())
 
     def drain(self, power_w: float, dt: float, stamp_ns: int) -> BatteryReading:
-        """Discharges by ``power_w`` for ``dt`` seconds, until ``stamp_ns``, and returns the state."""
+        """Discharges with ``power_w`` for ``dt`` seconds and returns the state at ``stamp_ns``, the end of this time."""
         spec = self.spec
         self._energy = max(0.0, self._energy - power_w * dt)
         charge = self._charge()
@@ -76,13 +76,15 @@ class Battery:
         )
 
     def _energy_at(self, charge: float) -> float:
-        """Returns the energy of a charge of 0 to 1, J: the integral of the voltage over the charge."""
+        """Returns the energy at a state of charge, J: the integral of the voltage over the charge."""
         spec = self.spec
         return spec.capacity_ah * _S_PER_H * (spec.voltage_empty * charge + self._slope * charge**2)
 
     def _charge(self) -> float:
-        """Returns the charge, 0 to 1, of the remaining energy."""
+        """Returns the state of charge, 0 to 1, for the remaining energy."""
         spec = self.spec
-        share = self._energy / (spec.capacity_ah * _S_PER_H)
-        # The solution of slope q^2 + empty q = share that stays exact where the slope is 0.
-        return min(1.0, 2 * share / (spec.voltage_empty + math.sqrt(spec.voltage_empty**2 + 4 * self._slope * share)))
+        mean_voltage = self._energy / (spec.capacity_ah * _S_PER_H)
+        # The solution of slope q^2 + empty q = mean_voltage in a form that is stable for slope = 0.
+        return min(
+            1.0, 2 * mean_voltage / (spec.voltage_empty + math.sqrt(spec.voltage_empty**2 + 4 * self._slope * mean_voltage))
+        )

@@ -1,4 +1,4 @@
-"""Bumpers from the contacts that the physics engine reports. Pure."""
+"""Bumpers, computed from the contacts of the physics engine. Pure."""
 
 from __future__ import annotations
 
@@ -26,41 +26,41 @@ class BumperReading:
     pressed: bool
     """Whether ``total`` reaches the threshold."""
     links: tuple[str, ...]
-    """The robot's links that were touched, without the body name, sorted, however small the force."""
+    """Links of the robot in contact, without the body name, sorted, regardless of the force."""
     total: float
     """Sum of the magnitudes of all contact forces, N."""
     force: NDArray[np.float64]
-    """(3,), N: vector sum of the forces on the robot."""
+    """(3,), vector sum of the forces on the robot, N."""
     torque: NDArray[np.float64]
-    """(3,), N m: torque of these forces about the link's origin."""
+    """(3,), torque of these forces about the link's origin, N m."""
 
 
 def measure_bumper(spec: BumperSpec, state: SceneState, contacts: Sequence[Contact]) -> BumperReading:
-    """Returns the forces that press against the robot from the side.
+    """Returns the lateral contact forces on the robot.
 
-    Contacts whose normal is within ``spec.max_slope`` of the vertical are floors and loads, and are left out.
+    Contacts whose normal is within ``spec.max_slope`` of the vertical are with floors or payloads, and are ignored.
 
     Args:
         spec: the sensor; its link must be in the state.
-        state: pose of the link.
-        contacts: of the robot, at the same step; either body of a contact may be the robot.
+        state: state with the pose of the link.
+        contacts: contacts of the robot at the same step; either body of a contact may be the robot.
 
     Raises:
-        ConfigError: the state has no such link.
+        ConfigError: the link is not in the state.
     """
     T_world_link = link_pose(state, spec.link, "bumper")
     body, steepest = spec.link.partition("/")[0], math.cos(spec.max_slope)
     links: set[str] = set()
     force, torque, total = np.zeros(3), np.zeros(3), 0.0
     for contact in contacts:
-        own, towards = (contact.link_a, 1.0) if contact.body_a == body else (contact.link_b, -1.0)
-        if abs(contact.normal[2]) > steepest or (spec.links and own not in spec.links) or contact.force <= 0.0:
+        link, sign = (contact.link_a, 1.0) if contact.body_a == body else (contact.link_b, -1.0)
+        if abs(contact.normal[2]) > steepest or (spec.links and link not in spec.links) or contact.force <= 0.0:
             continue
-        push = np.array(contact.normal) * (towards * contact.force)
-        force += push
-        torque += np.cross(np.array(contact.position) - T_world_link[:3, 3], push)
+        contact_force = np.array(contact.normal) * (sign * contact.force)
+        force += contact_force
+        torque += np.cross(np.array(contact.position) - T_world_link[:3, 3], contact_force)
         total += contact.force
-        links.add(own)
+        links.add(link)
     R_world_link = T_world_link[:3, :3]
     return BumperReading(
         name=spec.name,

@@ -1,4 +1,4 @@
-"""Registered depth: depth images of one camera in the image of another, as drivers of RGB-D cameras provide them. Pure."""
+"""Depth registration: reprojects depth images of one camera to the image of another, as drivers of RGB-D cameras do. Pure."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.types import CameraSpec
 
 MAX_SPLIT = 8
-"""Largest number of parts along a side that a pixel is split into."""
+"""Maximum number of subpixels per side."""
 F32 = NDArray[np.float32]
 
 
 def split_for(source: CameraSpec, target: CameraSpec) -> int:
-    """Returns the number of parts along a side that a pixel of ``source`` is split into for ``target``.
+    """Returns the number of subpixels per side into which a pixel of ``source`` is split for ``target``.
 
     Raises:
-        ConfigError: it exceeds ``MAX_SPLIT``.
+        ConfigError: the number exceeds ``MAX_SPLIT``.
     """
     finer = float((np.diag(target.intrinsics())[:2] / np.diag(source.intrinsics())[:2]).max())
     split = max(1, math.ceil(finer - 1e-6))
     if split > MAX_SPLIT:
         raise ConfigError(
             f"depth of camera {source.name!r} cannot be registered to {target.name!r}, whose pixels are {finer:.1f} times as fine; "
-            f"at most {MAX_SPLIT} times: give it a smaller image or the depth camera a larger one"
+            f"at most {MAX_SPLIT} times: give {target.name!r} a smaller image or the depth camera a larger one"
         )
     return split
 
@@ -36,12 +36,12 @@ def split_for(source: CameraSpec, target: CameraSpec) -> int:
 class DepthRegistration:
     """Registers depth images of ``source`` to the image of ``target``.
 
-    Each pixel is a small plate at its depth, split as finely as the target's pixels, so that a finer target has no holes between them;
-    the nearest plate wins. What the source did not see stays empty.
+    Each pixel is a small square at its depth, split as finely as the target's pixels, so that a target of higher resolution has no gaps;
+    the nearest square wins. Surfaces not visible to the source remain empty.
 
     Args:
         source: the depth camera.
-        target: the camera whose image, K and frame the result has.
+        target: the camera that determines image size, K and frame of the result.
         T_target_source: (4, 4), optical frames.
 
     Raises:
@@ -56,16 +56,19 @@ class DepthRegistration:
         u = (np.arange(source.width)[:, None] + offsets).ravel()
         rays = unproject(np.stack(np.meshgrid(u, v), axis=-1), source).reshape(-1, 3)
         T = np.asarray(T_target_source, dtype=np.float64)
-        # (3, N): a point at depth d is d times its direction plus an offset, without a matrix product for each image.
+        # (3, N): a point at depth d is d times its direction plus an offset, which avoids a matrix product for each image.
         self._directions = np.ascontiguousarray((rays @ T[:3, :3].T).T, dtype=np.float32)
         self._offset = T[:3, 3].astype(np.float32)
         self._source, self._target = source, target
 
     def image(self, depth: ArrayLike) -> F32:
-        """Returns the depth in the target's image, (H, W) of the target, metres, +inf = nothing known.
+        """Returns the depth in the target's image, (H, W) of the target, metres, +inf = unknown.
 
         Args:
-            depth: (H, W) of the source, metres, as its projection measures it; values that are not finite are left out.
+            depth: (H, W) of the source, metres, in the convention of its projection; values that are not finite are ignored.
+
+        Raises:
+            ConfigError: the depth does not have the source's size.
         """
         d = np.asarray(depth, dtype=np.float32)
         if d.shape != (self._source.height, self._source.width):
@@ -74,15 +77,16 @@ class DepthRegistration:
         fine = np.repeat(np.repeat(d, self._split, axis=0), self._split, axis=1).ravel()
         fine = np.where(np.isfinite(fine), fine, np.float32(np.nan))
         x, y, z = (direction * fine + offset for direction, offset in zip(self._directions, self._offset, strict=True))
-        u, v, moved = self._project(x, y, z)
+        u, v, target_depth = self._project(x, y, z)
         height, width = self._target.height, self._target.width
         # NaN, without depth or behind the camera, compares as false.
         inside = np.flatnonzero(
-            (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (moved >= self._target.near) & (moved <= self._target.far)
+            (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
+            & (target_depth >= self._target.near) & (target_depth <= self._target.far)
         )  # fmt: skip
         pixels = np.rint(v[inside]).astype(np.int64) * width + np.rint(u[inside]).astype(np.int64)
         out = np.full(height * width, np.inf, dtype=np.float32)
-        np.minimum.at(out, pixels, moved[inside])
+        np.minimum.at(out, pixels, target_depth[inside])
         return out.reshape(height, width)
 
     def _project(self, x: F32, y: F32, z: F32) -> tuple[F32, F32, F32]:

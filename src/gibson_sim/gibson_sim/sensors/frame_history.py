@@ -1,4 +1,4 @@
-"""Draws cameras at successive states and keeps the previous state of each, for optical flow and motion blur. Pure but for the renderer."""
+"""Renders cameras at successive states and keeps each camera's previous state, for optical flow and motion blur."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from gibson_sim.types import CameraSpec, Frame, SceneState
 
 
 class PendingFrameSet:
-    """Frames that are drawn and being read back, in sets with different previous states.
+    """Frames that are being drawn and read back, in sets with different previous states.
 
     Args:
-        parts: the frames of each set, and their positions in the result.
+        parts: frames of each set, and their positions in the result.
     """
 
     def __init__(self, parts: Sequence[tuple[PendingFrames, Sequence[int]]]) -> None:
@@ -22,17 +22,17 @@ class PendingFrameSet:
 
     def result(self) -> list[Frame]:
         """Returns the frames in the order of the cameras; waits for the GPU the first time."""
-        found: dict[int, Frame] = {}
+        frames: dict[int, Frame] = {}
         for pending, numbers in self._parts:
-            found.update(zip(numbers, pending.result(), strict=True))
-        return [found[number] for number in sorted(found)]
+            frames.update(zip(numbers, pending.result(), strict=True))
+        return [frames[number] for number in sorted(frames)]
 
 
 class FrameHistory:
-    """Draws cameras at states, each with the motion since its own previous frame.
+    """Renders cameras at successive states, each with the motion since its own previous frame.
 
     Args:
-        renderer: draws; it stays the caller's.
+        renderer: renderer, owned by the caller.
     """
 
     def __init__(self, renderer: Renderer) -> None:
@@ -40,12 +40,12 @@ class FrameHistory:
         self._previous: dict[str, SceneState] = {}
 
     def start(self, state: SceneState, cameras: Sequence[CameraSpec]) -> PendingFrameSet:
-        """Draws and returns at once: start the next frames before calling ``result`` of these. For errors see ``Renderer.render``."""
+        """Starts rendering without waiting: start the next frames before calling ``result``. For errors see ``Renderer.render``."""
         by_previous: dict[int, tuple[SceneState | None, list[int]]] = {}
         for number, camera in enumerate(cameras):
             previous = self._previous.get(camera.name) if needs_previous(camera) else None
             if previous is not None and previous.stamp_ns >= state.stamp_ns:
-                previous = None  # time went back, so there is no motion between the two
+                previous = None  # time has jumped backwards, so there is no motion between the two
             by_previous.setdefault(id(previous), (previous, []))[1].append(number)
         parts = [
             (self._renderer.start(state, [cameras[number] for number in numbers], previous), numbers)
@@ -55,9 +55,9 @@ class FrameHistory:
         return PendingFrameSet(parts)
 
     def note(self, state: SceneState, cameras: Sequence[CameraSpec]) -> None:
-        """Records a state as the previous one of cameras, drawn or not: the motion in their next frames starts here."""
+        """Records a state, drawn or not, as the previous state of cameras: the motion in their next frames starts at it."""
         self._previous.update({camera.name: state for camera in cameras if needs_previous(camera)})
 
     def forget(self) -> None:
-        """Forgets all previous states, after the scene has changed."""
+        """Forgets all previous states; call this after the scene has changed."""
         self._previous = {}

@@ -1,4 +1,4 @@
-"""A sheet of pictures of all that the renderer can do with a scene: outputs, cameras, effects, light. No ROS, no physics."""
+"""A contact sheet that shows the renderer's features on a scene: outputs, cameras, effects, lighting. No ROS, no physics."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _CAPTION, _GAP = 26, 8
 _INK, _PAPER = (40, 40, 40), 250
 """Colours of text and background."""
 _RIG = "gallery/rig"
-"""Link that carries the cameras."""
+"""Link on which the cameras are mounted."""
 _FAR_SHOWN_M = 6.0
+"""Depth at the end of the colour scale, metres."""
 _HOLE_COLOURS = np.array([[205, 205, 205], [30, 30, 30], [200, 60, 160], [110, 160, 220]], dtype=np.uint8)
-"""Of ``Frame.hole``: surface, nothing, back face, outside or sky."""
-"""Depth at the end of the colour scale."""
+"""Colours of the values of ``Frame.hole``: surface, nothing, back face, outside the field of view or sky."""
 _INTERVAL_S = 1.0 / 30.0
-"""Simulation time between the two states of flow and motion blur."""
+"""Simulation time between the two states for optical flow and motion blur, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,36 +48,36 @@ class _Panel:
 
 
 def gallery(scene: DrawnScene, position: Pose, rules: Rules, cache: Path | None = None) -> Rgb:
-    """Returns the pictures of a scene with captions, (H, W, 3) uint8 sRGB.
+    """Returns pictures of a scene with captions, (H, W, 3) uint8 sRGB.
 
     Args:
-        scene: what to draw, without moving links.
+        scene: scene to draw; moving links are omitted.
         position: T_world_eye of the cameras; x forward, z up.
-        rules: of the randomised pictures.
-        cache: as for ``Renderer``.
+        rules: rules of the randomised pictures.
+        cache: folder of the scene cache, as for ``Renderer``.
     """
     rigged = replace(scene, links=(_RIG,), visuals=tuple(v for v in scene.visuals if not v.link), cameras=())
-    now, before = _states(position, rigged.revision)
+    state, previous = _states(position, rigged.revision)
     with Renderer(rigged, cache=cache) as renderer:
         rows = [
-            list(_outputs(renderer, now, before)),
-            list(_cameras(renderer, now)),
-            list(_effects(renderer, now, before)),
+            list(_outputs(renderer, state, previous)),
+            list(_cameras(renderer, state)),
+            list(_effects(renderer, state, previous)),
         ]
-    rows.append(list(_light(rigged, now, rules)))
+    rows.append(list(_light(rigged, state, rules)))
     return _sheet(rows)
 
 
 def _states(position: Pose, revision: int) -> tuple[SceneState, SceneState]:
-    """Returns the rig's state and the one before: it turns to the left and moves forward."""
-    now = matrix_from_pose(position)
-    back = now @ matrix_from_pose(pose_from_xyz_rpy((-0.03, 0.0, 0.0), (0.0, 0.0, -0.035)))
+    """Returns the current and the previous state of the rig, which turns left and moves forward."""
+    current = matrix_from_pose(position)
+    previous = current @ matrix_from_pose(pose_from_xyz_rpy((-0.03, 0.0, 0.0), (0.0, 0.0, -0.035)))
 
     def state(T: NDArray[np.float64], stamp_ns: int) -> SceneState:
         quat = np.array([quat_from_matrix(T[:3, :3])])
         return SceneState(stamp_ns, 0, revision, (_RIG,), T[None, :3, 3].copy(), quat, np.zeros((1, 6)))
 
-    return state(now, NS_PER_S), state(back, NS_PER_S - round(_INTERVAL_S * NS_PER_S))
+    return state(current, NS_PER_S), state(previous, NS_PER_S - round(_INTERVAL_S * NS_PER_S))
 
 
 def _camera(**changes: object) -> CameraSpec:
@@ -85,18 +85,18 @@ def _camera(**changes: object) -> CameraSpec:
     return replace(camera, **{"outputs": ("rgb",), "samples": 4, **changes})  # type: ignore[arg-type]
 
 
-def _outputs(renderer: Renderer, now: SceneState, before: SceneState) -> Iterator[_Panel]:
-    frame = renderer.render(now, [_camera(outputs=OUTPUTS)], before)[0]
+def _outputs(renderer: Renderer, state: SceneState, previous: SceneState) -> Iterator[_Panel]:
+    frame = renderer.render(state, [_camera(outputs=OUTPUTS)], previous)[0]
     titles: dict[Output, str] = {
         "rgb": "rgb, 4 samples", "depth": "depth, 0 to 6 m", "semantic": "semantic class", "instance": "instance",
         "normal": "normal, camera frame", "normal_world": "normal, world frame", "position": "position, world frame", "flow": "optical flow",
         "hole": "holes",
     }  # fmt: skip
     for output in OUTPUTS:
-        yield _Panel(titles[output], shown(frame, output))
+        yield _Panel(titles[output], picture_of_output(frame, output))
 
 
-def _cameras(renderer: Renderer, now: SceneState) -> Iterator[_Panel]:
+def _cameras(renderer: Renderer, state: SceneState) -> Iterator[_Panel]:
     focal = 0.62 * WIDTH
     k = (focal, 0.0, 0.42 * WIDTH, 0.0, focal, 0.6 * HEIGHT, 0.0, 0.0, 1.0)
     fisheye = {"projection": "fisheye", "width": HEIGHT, "height": HEIGHT}
@@ -109,19 +109,20 @@ def _cameras(renderer: Renderer, now: SceneState) -> Iterator[_Panel]:
         "fisheye 180, behind": _camera(**fisheye, pose=behind),
         "equirectangular": _camera(projection="equirectangular", width=2 * WIDTH + _GAP, height=WIDTH),
     }  # fmt: skip
-    frames = renderer.render(now, list(named.values()))
+    frames = renderer.render(state, list(named.values()))
     for title, frame in zip(named, frames, strict=True):
         assert frame.rgb is not None
         yield _Panel(title, frame.rgb)
     lidar = RenderedLidar(_RIG, LidarPattern(even_elevations(64, math.radians(-40.0), math.radians(25.0)), 1024))
-    scan = lidar.measure(now, renderer)
+    scan = lidar.measure(state, renderer)
     yield _Panel("lidar, 64 beams x 1024", _lidar_picture(scan.points))
     noisy = _camera(outputs=("depth", "normal"))
     noise = DepthNoise(quadratic=0.004, disparity_step_px=0.125, hole_angle_deg=78.0, hole_fraction=0.004)
-    yield _Panel("depth camera: noise, steps, holes", shown(apply_depth_noise(renderer.render(now, [noisy])[0], noise), "depth"))
+    frame = apply_depth_noise(renderer.render(state, [noisy])[0], noise)
+    yield _Panel("depth camera: noise, steps, holes", picture_of_output(frame, "depth"))
 
 
-def _effects(renderer: Renderer, now: SceneState, before: SceneState) -> Iterator[_Panel]:
+def _effects(renderer: Renderer, state: SceneState, previous: SceneState) -> Iterator[_Panel]:
     effects = {
         "exposure +1 EV": ImageEffects(exposure_ev=1.0),
         "white balance 3500 K": ImageEffects(white_balance_k=3500.0),
@@ -129,31 +130,31 @@ def _effects(renderer: Renderer, now: SceneState, before: SceneState) -> Iterato
         "motion blur, 33 ms": ImageEffects(shutter_s=_INTERVAL_S),
     }
     for title, effect in effects.items():
-        frame = renderer.render(now, [_camera(samples=1, effects=effect)], before)[0]
+        frame = renderer.render(state, [_camera(samples=1, effects=effect)], previous)[0]
         assert frame.rgb is not None
         yield _Panel(title, frame.rgb)
 
 
-def _light(scene: DrawnScene, now: SceneState, rules: Rules) -> Iterator[_Panel]:
-    eye = now.positions[0]
+def _light(scene: DrawnScene, state: SceneState, rules: Rules) -> Iterator[_Panel]:
+    eye = state.positions[0]
     lamp = PointLight((float(eye[0]), float(eye[1]), float(eye[2]) + 0.7), (1.0, 0.86, 0.66), 1.6, range=9.0)
     lamps = replace(scene, light=replace(scene.light, sun=0.0, ambient=0.12, points=(lamp,)))
-    yield _drawn("a lamp by night", lamps, now, _camera())
+    yield _panel("a lamp by night", lamps, state, _camera())
     for seed in range(2):
-        yield _drawn(f"randomised, seed {seed}", randomise(scene, seed, rules), now, _camera())
+        yield _panel(f"randomised, seed {seed}", randomise(scene, seed, rules), state, _camera())
     studio, camera = _studio(scene)
-    yield _drawn("metal and matt, sun shadows", studio, now, camera)
+    yield _panel("metal and matt, sun shadows", studio, state, camera)
 
 
-def _drawn(title: str, scene: DrawnScene, now: SceneState, camera: CameraSpec) -> _Panel:
+def _panel(title: str, scene: DrawnScene, state: SceneState, camera: CameraSpec) -> _Panel:
     with Renderer(scene) as renderer:
-        rgb = renderer.render(now, [camera])[0].rgb
+        rgb = renderer.render(state, [camera])[0].rgb
     assert rgb is not None
     return _Panel(title, rgb)
 
 
 def _studio(scene: DrawnScene) -> tuple[DrawnScene, CameraSpec]:
-    """Returns balls of metal and of plastic, from polished to matte, on a floor in the sun."""
+    """Returns a scene of metal and plastic balls, from polished to matte, on a floor in the sun, and its camera."""
     columns, spacing = 5, 0.5
     visuals = [
         VisualSpec("floor", "", Shape("box", (9.0, 9.0, 0.2)), pose_from_xyz_rpy((0.0, 0.0, -0.1)), (0.62, 0.6, 0.57, 1.0))
@@ -181,8 +182,8 @@ def _studio(scene: DrawnScene) -> tuple[DrawnScene, CameraSpec]:
     return replace(scene, visuals=tuple(visuals), light=light), camera
 
 
-def shown(frame: Frame, output: Output) -> Rgb:
-    """Returns an output as a picture, (H, W, 3) uint8: labels in distinct colours, directions and positions as red, green, blue."""
+def picture_of_output(frame: Frame, output: Output) -> Rgb:
+    """Returns a visualisation of an output, (H, W, 3) uint8: labels in distinct colours, directions and positions as RGB."""
     pictures: dict[Output, Callable[[Frame], Rgb]] = {
         "rgb": lambda f: _required(f.rgb).copy(),
         "depth": lambda f: _depth_picture(_required(f.depth)),
@@ -227,12 +228,12 @@ def _direction_picture(normals: NDArray[Any]) -> Rgb:
 def _position_picture(points: NDArray[Any]) -> Rgb:
     flat = points.reshape(-1, 3)
     low, high = np.nanpercentile(flat, 1, axis=0), np.nanpercentile(flat, 99, axis=0)
-    part = np.clip((points - low) / np.maximum(high - low, 1e-6), 0.0, 1.0)
-    return np.asarray(np.nan_to_num(255.0 * part), dtype=np.uint8)
+    fraction = np.clip((points - low) / np.maximum(high - low, 1e-6), 0.0, 1.0)
+    return np.asarray(np.nan_to_num(255.0 * fraction), dtype=np.uint8)
 
 
 def _flow_picture(flow: NDArray[Any]) -> Rgb:
-    """Returns the direction as hue and the length as brightness."""
+    """Returns a picture of flow with direction as hue and length as brightness."""
     x, y = np.nan_to_num(flow[..., 0]), np.nan_to_num(flow[..., 1])
     length, angle = np.hypot(x, y), np.arctan2(y, x)
     hsv = np.stack(
@@ -243,7 +244,7 @@ def _flow_picture(flow: NDArray[Any]) -> Rgb:
 
 
 def _lidar_picture(points: NDArray[Any]) -> Rgb:
-    """Returns an image of points, (N, 3), seen from above and behind, coloured by height."""
+    """Returns an oblique view of points, (N, 3), from above and behind, coloured by height."""
     picture = np.full((HEIGHT, WIDTH, 3), 20, dtype=np.uint8)
     tilt = math.radians(52.0)
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
@@ -260,7 +261,7 @@ def _lidar_picture(points: NDArray[Any]) -> Rgb:
 
 
 def _sheet(rows: Sequence[Sequence[_Panel]]) -> Rgb:
-    """Arranges pictures with captions in rows of the same width; a picture may be two columns wide."""
+    """Returns pictures with captions arranged in rows of equal width; a picture may be two columns wide."""
     lines: list[Rgb] = []
     width = COLUMNS * WIDTH + (COLUMNS + 1) * _GAP
     for panels in rows:
@@ -278,7 +279,7 @@ def _sheet(rows: Sequence[Sequence[_Panel]]) -> Rgb:
 
 
 def _cell(panel: _Panel) -> Rgb:
-    """Returns a picture with its caption, scaled to one column or, if it is wide, to two."""
+    """Returns a picture with its caption, scaled to one column, or to two if it is wide."""
     height, width = panel.picture.shape[:2]
     wide = 2 * WIDTH + _GAP if width > 1.8 * height else WIDTH
     scale = min(wide / width, HEIGHT / height)

@@ -1,8 +1,8 @@
 """Compressed images in the formats of image_transport's plugins, for its subscribers, rqt and rosbag tools. Pure.
 
-``compressed``: a JPEG or PNG file. ``compressedDepth``: a header of 12 bytes, then a PNG of 16 bits a pixel. The header is an int32
-(the coding: 0 = inverse depth) and two float32, A and B: a pixel p is the depth A / (p - B), and 0 is no depth.
-Steps are finest near the camera, like those of a stereo camera's disparity.
+``compressed``: a JPEG or PNG file. ``compressedDepth``: a header of 12 bytes, then a 16-bit PNG. The header is an int32 (the coding:
+0 = inverse depth) and two float32, A and B: a pixel value p encodes the depth A / (p - B), and 0 = no depth. The quantisation steps are
+finest near the camera, like those of a stereo camera's disparity.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from gibson_sim.formats.textures import decode_pixels
 ColorCodec = Literal["jpeg", "png"]
 U8 = NDArray[np.uint8]
 COMPRESSED_DEPTH_FORMAT = "32FC1; compressedDepth png"
-"""``format`` field of messages with data of ``encode_depth``."""
+"""``format`` field of messages encoded by ``encode_depth``."""
 _INVERSE_DEPTH = 0
 _HEADER = struct.Struct("<iff")
 _LARGEST = 2**16 - 1
 
 
 def color_format(codec: ColorCodec) -> str:
-    """Returns the ``format`` field of messages with data of ``encode_color``: the original encoding, and how OpenCV decodes it."""
+    """Returns the ``format`` field of messages encoded by ``encode_color``: the original encoding, and the encoding decoded by OpenCV."""
     return f"rgb8; {codec} compressed bgr8"
 
 
@@ -35,15 +35,18 @@ def encode_color(rgb: U8, codec: ColorCodec, *, jpeg_quality: int = 95, png_leve
     """Returns the bytes of an image file, (N,); ``cv2.imdecode`` decodes them to BGR.
 
     Args:
-        rgb: (H, W, 3), row 0 at the top; (H, W) for a grey image.
+        rgb: (H, W, 3), row 0 = top; (H, W) for a greyscale image.
         codec: jpeg, small and lossy; png, lossless.
-        jpeg_quality: 1 to 100.
-        png_level: 0 (fast) to 9 (small).
+        jpeg_quality: quality, 1 to 100.
+        png_level: compression level, 0 (fast) to 9 (small).
+
+    Raises:
+        ConfigError: OpenCV cannot encode the image.
     """
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
     if codec == "jpeg":
-        return _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
-    return _encoded(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
+        return _encode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    return _encode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
 
 
 def encode_depth(
@@ -53,19 +56,22 @@ def encode_depth(
 
     Args:
         depth: (H, W), metres.
-        depth_max: m; this depth and larger ones are left out.
-        quantization: at a depth of d metres a step is d^2 / (quantization (quantization + 1)) metres.
-        png_level: 0 (fast) to 9 (small).
+        depth_max: depth from which values become "no depth", metres.
+        quantization: at a depth of d metres the quantisation step is d^2 / (quantization (quantization + 1)) metres.
+        png_level: compression level, 0 (fast) to 9 (small).
+
+    Raises:
+        ConfigError: OpenCV cannot encode the image.
     """
     a = np.float32(quantization * (quantization + 1.0))
     b = np.float32(1.0) - a / np.float32(depth_max)
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.rint(a / depth + b)
-        # Not clipped: a wrong depth is worse than none.
-        seen = (depth > 0.0) & (depth < depth_max) & (inverse <= _LARGEST)
+        # Not clipped: a wrong depth is worse than no depth.
+        valid = (depth > 0.0) & (depth < depth_max) & (inverse <= _LARGEST)
     pixels = np.zeros(depth.shape, dtype=np.uint16)
-    pixels[seen] = inverse[seen].astype(np.uint16)
-    png = _encoded(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
+    pixels[valid] = inverse[valid].astype(np.uint16)
+    png = _encode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
     return _HEADER.pack(_INVERSE_DEPTH, a, b) + png.tobytes()
 
 
@@ -75,14 +81,14 @@ def is_compressed_depth(image_format: str) -> bool:
 
 
 def decode_depth(data: bytes, *, metric: bool = True) -> NDArray[Any] | None:
-    """Returns the depth of the data of a compressedDepth message, None if they are damaged.
+    """Returns the depth in the data of a compressedDepth message, or None if the data is damaged.
 
     Args:
-        data: header and PNG, as of ``encode_depth``.
-        metric: whether the original was 32FC1, and not 16UC1.
+        data: header and PNG, as from ``encode_depth``.
+        metric: whether the original encoding was 32FC1 instead of 16UC1.
 
     Returns:
-        (H, W) float32, metres, NaN where there is no depth; for 16UC1, (H, W) uint16, the unit of the original.
+        (H, W) float32, metres, NaN = no depth; for 16UC1, (H, W) uint16, unit of the original.
     """
     if len(data) <= _HEADER.size:
         return None
@@ -103,12 +109,15 @@ def encode_png(pixels: NDArray[Any], level: int) -> U8:
 
     Args:
         pixels: (H, W), uint8 or uint16.
-        level: 0 (fast) to 9 (small).
+        level: compression level, 0 (fast) to 9 (small).
+
+    Raises:
+        ConfigError: OpenCV cannot encode the image.
     """
-    return _encoded(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, level])
+    return _encode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, level])
 
 
-def _encoded(suffix: str, pixels: NDArray[Any], flags: list[int]) -> U8:
+def _encode(suffix: str, pixels: NDArray[Any], flags: list[int]) -> U8:
     try:
         written, data = cv2.imencode(suffix, pixels, flags)
     except cv2.error as error:

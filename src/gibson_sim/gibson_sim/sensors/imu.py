@@ -1,7 +1,7 @@
 """An inertial measurement unit, simulated from the pose and velocity of its link (REP 145). Pure.
 
-Accelerometers measure the specific force: acceleration minus gravity, so +g along z at rest. The acceleration is the change of the
-link's velocity since the previous sample, as real sensors report a mean over the sampling interval.
+Accelerometers measure specific force, acceleration minus gravity: +g along z at rest. The acceleration is the change of the link's velocity
+since the previous sample, since real sensors report the mean over the sampling interval.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gibson_sim.types import NS_PER_S, Quat, SceneState, Vec3
 _WHITE, _WALK, _START = 0, 1, 2
 """Purposes of random numbers."""
 LEAST_VARIANCE = 1e-9
-"""Variance of a measurement without noise: a covariance of 0 would mean "unknown" in a ROS message, and filters divide by it."""
+"""Minimum reported variance: a covariance of 0 means "unknown" in a ROS message, and filters divide by it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,24 +39,24 @@ class ImuReading:
     orientation_xyzw: Quat | None
     """Exact orientation of the link in the world frame; None = not reported."""
     angular_variance: float
-    """Variance of each component against the truth, noise and bias together, (rad/s)^2."""
+    """Error variance of each component of the angular velocity, noise and bias together, (rad/s)^2."""
     linear_variance: float
-    """The same, (m/s^2)^2."""
+    """Error variance of each component of the acceleration, noise and bias together, (m/s^2)^2."""
 
 
 class Imu:
-    """A sensor with its state: the velocity at its last sample, and its biases."""
+    """An IMU with its state: the velocity at its last sample, and its biases."""
 
     def __init__(self, spec: ImuSpec, gravity: Vec3, seed: int = 0) -> None:
-        """Starts with biases that the seeds determine.
+        """Starts with initial biases, which are determined by the seeds.
 
         Args:
             spec: the sensor.
-            gravity: world frame, m/s^2.
-            seed: of the simulation.
+            gravity: gravitational acceleration, world frame, m/s^2.
+            seed: seed of the simulation.
         """
         self.spec = spec
-        self._lift: Vec3 = (-gravity[0], -gravity[1], -gravity[2])
+        self._specific_force_at_rest: Vec3 = (-gravity[0], -gravity[1], -gravity[2])
         self._noise = NoiseSource(f"{spec.link.partition('/')[0]}/{spec.name}", seed, spec.seed)
         self._densities = np.repeat([spec.gyro_noise, spec.accel_noise], 3)
         self._walks = np.repeat([spec.gyro_bias_walk, spec.accel_bias_walk], 3)
@@ -68,21 +68,21 @@ class Imu:
         spec = self.spec
         self._last: tuple[int, Vec3, Quat] | None = None
         self.bias: NDArray[np.float64] = np.repeat([spec.gyro_bias, spec.accel_bias], 3)
-        """(6,): of the gyroscopes, rad/s, then of the accelerometers, m/s^2."""
-        self._walked_s = 0.0
+        """(6,), biases of the gyroscopes, rad/s, and of the accelerometers, m/s^2."""
+        self._random_walk_s = 0.0
         if self.bias.any():
             self.bias *= self._noise.at(0, _START).standard_normal(6)
 
     @property
     def can_skip_samples(self) -> bool:
-        """Whether samples may be skipped: a sample depends on earlier ones by the last velocity alone, since no bias walks."""
+        """Whether samples may be skipped: without a random walk of biases, a sample depends only on the last velocity."""
         return not self._has_walk
 
     def note(self, state: SceneState) -> None:
-        """Records the velocity at a skipped sample: the next one is then as if no sample had been skipped.
+        """Records the velocity at a skipped sample, so that the next sample is the same as without skipping.
 
         Raises:
-            ConfigError: the state has no such link.
+            ConfigError: the link is not in the state.
         """
         row = self._row(state)
         vx, vy, vz = state.twists[row, :3].tolist()
@@ -91,31 +91,31 @@ class Imu:
 
     def _row(self, state: SceneState) -> int:
         if self.spec.link not in state.links:
-            raise ConfigError(f"imu on {self.spec.link!r}: no such link in the scene; known: {', '.join(state.links)}")
+            raise ConfigError(f"imu on {self.spec.link!r}: the link is not in the scene; its links: {', '.join(state.links)}")
         return state.links.index(self.spec.link)
 
     def measure(self, state: SceneState) -> ImuReading:
-        """Returns a sample; the first one after a reset assumes a constant velocity until then.
+        """Returns a sample; the first one after a reset assumes that the velocity was constant before.
 
         Raises:
-            ConfigError: the state has no such link, or is not later than the one before.
+            ConfigError: the link is not in the state, or the state is not later than the previous one.
         """
         spec, row = self.spec, self._row(state)
         x, y, z, w = quat = tuple(state.quats_xyzw[row].tolist())
         vx, vy, vz, *angular = state.twists[row].tolist()
-        force, dt = _into_link(quat, self._lift), 1.0 / spec.rate_hz
+        force, dt = _into_link(quat, self._specific_force_at_rest), 1.0 / spec.rate_hz
         if self._last is not None:
-            stamp_ns, (ux, uy, uz), before = self._last
+            stamp_ns, (ux, uy, uz), last_quat = self._last
             dt = (state.stamp_ns - stamp_ns) / NS_PER_S
             if dt <= 0.0:
                 raise ConfigError(
                     f"imu {spec.name!r}: {state.stamp_ns} ns is not after the last sample, {stamp_ns} ns; reset it first"
                 )
-            # A mean over the interval belongs to its middle: with the axes at its end it would include half a step of rotation.
-            mean = _into_link(_middle(before, quat), ((vx - ux) / dt, (vy - uy) / dt, (vz - uz) / dt))
+            # The mean acceleration is expressed in the axes at the middle of the interval: the axes at its end are rotated by half a step.
+            mean = _into_link(_halfway(last_quat, quat), ((vx - ux) / dt, (vy - uy) / dt, (vz - uz) / dt))
             force = (force[0] + mean[0], force[1] + mean[1], force[2] + mean[2])
         self._last = (state.stamp_ns, (vx, vy, vz), quat)
-        self._walked_s += dt
+        self._random_walk_s += dt
         measured = np.array([*_into_link(quat, (angular[0], angular[1], angular[2])), *force]) + self._errors(state.stamp_ns, dt)
         return ImuReading(
             name=spec.name,
@@ -129,11 +129,11 @@ class Imu:
         )
 
     def _variance(self, noise: float, bias: float, walk: float, dt: float) -> float:
-        """Returns the variance of one component of a sample: white noise of a density, averaged over ``dt``, and a random walk of the bias.
+        """Returns the variance of one component of a sample: white noise averaged over ``dt``, initial bias, and random walk of the bias.
 
         See IEEE Std 952-1997, annex C; the parameters are those of an Allan deviation plot.
         """
-        return max(noise * noise / dt + bias * bias + walk * walk * self._walked_s, LEAST_VARIANCE)
+        return max(noise * noise / dt + bias * bias + walk * walk * self._random_walk_s, LEAST_VARIANCE)
 
     def _errors(self, stamp_ns: int, dt: float) -> NDArray[np.float64]:
         """Returns the errors of (angular velocity, specific force), (6,), ``dt`` seconds after the previous sample."""
@@ -144,17 +144,17 @@ class Imu:
         return self.bias + self._densities / math.sqrt(dt) * self._noise.at(stamp_ns, _WHITE).standard_normal(6)
 
 
-# Plain numbers: with three of them NumPy is ten times slower, and this runs hundreds of times a second.
+# In plain floats: for three numbers NumPy is ten times slower, and these functions run hundreds of times per second.
 def _into_link(quat_xyzw: Quat, vector: Vec3) -> Vec3:
-    """Returns a vector of the world frame in the frame of a link with the given orientation."""
+    """Rotates a vector from the world frame to the frame of a link with the given orientation."""
     x, y, z, w = quat_xyzw
     a, b, c = vector
     p, q, r = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)
     return a + w * p + q * z - r * y, b + w * q + r * x - p * z, c + w * r + p * y - q * x
 
 
-def _middle(a: Quat, b: Quat) -> Quat:
-    """Returns the unit quaternion half-way between two."""
+def _halfway(a: Quat, b: Quat) -> Quat:
+    """Returns the unit quaternion halfway between two, (x, y, z, w)."""
     sign = math.copysign(1.0, sum(i * j for i, j in zip(a, b, strict=True)))
     x, y, z, w = (i + sign * j for i, j in zip(a, b, strict=True))
     norm = math.sqrt(x * x + y * y + z * z + w * w)

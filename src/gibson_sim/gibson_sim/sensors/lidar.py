@@ -1,7 +1,7 @@
-"""Lidars: the rays that they cast, and the ranges that their drivers report (REP 117). Pure: a callable casts the rays.
+"""Lidars: directions of their rays, and the ranges that their drivers report (REP 117). Pure: a callable casts the rays.
 
 A planar lidar measures a scan, a lidar with several channels a point cloud. Errors are applied in the order of a sensor: scale, noise,
-resolution, limits of range, dropouts.
+resolution, range limits, dropouts.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from gibson_sim.robots.sensor_specs import TURN, Lidar3DSpec, LidarSpec
 from gibson_sim.types import SceneState
 
 CastRays = Callable[[NDArray[np.float64], NDArray[np.float64], float, "str | None"], NDArray[np.float64]]
-"""``PhysicsWorld.cast_rays``: (origins (N, 3), directions (N, 3), range_max, body to ignore) to distances (N,)."""
+"""``PhysicsWorld.cast_rays``: (origins (N, 3), directions (N, 3), range_max, ignored body) -> distances (N,)."""
 _ERROR, _DROPOUT, _SCALE = 0, 1, 2
 """Purposes of random numbers."""
 _MAX_SIGMAS = 3.0
-"""Largest error of the scale, standard deviations: a device with a larger one does not leave the factory."""
+"""Limit of the scale error, in standard deviations: devices with larger errors would fail factory inspection."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,16 +32,17 @@ class Scan:
     """One revolution of a lidar; all rays are cast at the same instant."""
 
     stamp_ns: int
-    """Stamp of the state that was measured."""
+    """Stamp of the measured state."""
     link: str
     """``<body>/<link>``, the frame of the angles."""
     angle_min: float
     """Direction of the first ray, radians about z from the x axis, counter-clockwise."""
     angle_increment: float
-    """Radians from one ray to the next."""
+    """Angle between successive rays, radians."""
     range_min: float
+    """Smallest range, metres."""
     range_max: float
-    """Metres."""
+    """Largest range, metres."""
     ranges: NDArray[np.float32] = field(repr=False)
     """(beams,) float32, metres; +inf = no return, -inf = nearer than range_min (REP 117)."""
     name: str = "scan"
@@ -55,31 +56,31 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarCloud:
-    """Points at which the rays of one revolution returned, ring by ring; a ray without a return in range has no point."""
+    """Points hit by the rays of one revolution, ring by ring; a ray without a return in range has no point."""
 
     name: str
     """Name of the lidar."""
     stamp_ns: int
-    """Stamp of the state that was measured."""
+    """Stamp of the measured state."""
     link: str
     """``<body>/<link>``, the frame of the points."""
     points: NDArray[np.float32]
     """(N, 3) float32, metres."""
     ring: NDArray[np.uint16]
-    """(N,) uint16, 0 = the lowest."""
+    """(N,) uint16, ring number, 0 = lowest."""
     intensity: NDArray[np.float32]
-    """(N,) float32; 0: collision shapes have no colour."""
+    """(N,) float32; always 0, since collision shapes have no colour."""
 
 
 def ray_directions(spec: LidarSpec) -> NDArray[np.float64]:
-    """Returns unit vectors, (beams, 3), in the link's frame: the first at ``angle_min`` from the x axis, then counter-clockwise about z."""
+    """Returns unit vectors, (beams, 3), in the link's frame, counter-clockwise about z from ``angle_min``, measured from the x axis."""
     angles = spec.angle_min + np.arange(spec.beams) * spec.angle_increment
     return np.stack([np.cos(angles), np.sin(angles), np.zeros(spec.beams)], axis=-1)
 
 
 @lru_cache(maxsize=8)
 def cloud_directions(spec: Lidar3DSpec) -> NDArray[np.float64]:
-    """Returns unit vectors, (channels * samples, 3), in the link's frame, ring by ring from the lowest; the array is read-only."""
+    """Returns unit vectors, (channels * samples, 3), in the link's frame, ring by ring from the lowest, as a read-only array."""
     middle = (spec.elevation_min + spec.elevation_max) / 2
     first = spec.elevation_min if spec.channels > 1 else middle
     elevation = np.linspace(first, spec.elevation_max, spec.channels)[:, None]
@@ -91,26 +92,26 @@ def cloud_directions(spec: Lidar3DSpec) -> NDArray[np.float64]:
 
 
 def world_rays(T_world_link: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns (origins, directions), each (N, 3), world frame, of rays from the origin of a link.
+    """Returns the origins and directions, (N, 3), world frame, of rays from the origin of a link.
 
     Args:
         T_world_link: (4, 4).
         directions: (N, 3), in the link's frame.
     """
     T = np.asarray(T_world_link, dtype=np.float64)
-    turned = np.asarray(directions, dtype=np.float64) @ T[:3, :3].T
-    return np.broadcast_to(T[:3, 3], turned.shape).copy(), turned
+    rotated = np.asarray(directions, dtype=np.float64) @ T[:3, :3].T
+    return np.broadcast_to(T[:3, 3], rotated.shape).copy(), rotated
 
 
 def ranges_from_distances(
     distances: ArrayLike, spec: LidarSpec | Lidar3DSpec, noise: NoiseSource | None = None, stamp_ns: int = 0
 ) -> NDArray[np.float32]:
-    """Returns the ranges that a driver reports, float32, for distances in metres (+inf = nothing hit).
+    """Returns the ranges that a driver reports, (N,) float32, metres.
 
     Args:
-        distances: (N,), along the rays.
-        spec: errors and limits of range.
-        noise: random numbers of this lidar; None = no errors, whatever the spec.
+        distances: (N,), distances along the rays, metres, +inf = no hit.
+        spec: errors and range limits.
+        noise: random numbers of this lidar; None = no errors, regardless of the spec.
         stamp_ns: key of the random numbers.
     """
     d = np.array(distances, dtype=np.float64)
@@ -129,12 +130,12 @@ def ranges_from_distances(
 
 
 def noise_of(robot: str, spec: LidarSpec | Lidar3DSpec, seed: int) -> NoiseSource | None:
-    """Returns the source of a lidar's random errors; None if it has none.
+    """Returns the random numbers for a lidar's errors; None if it has no errors.
 
     Args:
-        robot: that carries it.
+        robot: name of the robot that carries the lidar.
         spec: the lidar.
-        seed: of the simulation.
+        seed: seed of the simulation.
     """
     if not (spec.range_noise or spec.range_noise_ratio or spec.range_scale or spec.resolution or spec.dropout):
         return None
@@ -146,9 +147,12 @@ def measure_scan(spec: LidarSpec, state: SceneState, cast_rays: CastRays, noise:
 
     Args:
         spec: the lidar; its link must be in the state.
-        state: pose of the link.
+        state: state with the pose of the link.
         cast_rays: casts rays in the world of ``state``, at the same step.
-        noise: random numbers of this lidar; None = no errors, whatever the spec.
+        noise: random numbers of this lidar; None = no errors, regardless of the spec.
+
+    Raises:
+        ConfigError: the link is not in the state.
     """
     distances = _cast(spec, state, cast_rays, ray_directions(spec))
     return Scan(
@@ -166,7 +170,7 @@ def measure_scan(spec: LidarSpec, state: SceneState, cast_rays: CastRays, noise:
 def measure_cloud(spec: Lidar3DSpec, state: SceneState, cast_rays: CastRays, noise: NoiseSource | None = None) -> LidarCloud:
     """Returns the point cloud of a lidar with several channels; the body that carries it is invisible to it.
 
-    The arguments are those of ``measure_scan``.
+    For arguments and errors see ``measure_scan``.
     """
     directions = cloud_directions(spec)
     ranges = ranges_from_distances(_cast(spec, state, cast_rays, directions), spec, noise, state.stamp_ns)
@@ -185,10 +189,10 @@ def link_pose(state: SceneState, link: str, what: str) -> Mat4:
     """Returns T_world_link.
 
     Raises:
-        ConfigError: the state has no such link; the message begins with ``what``.
+        ConfigError: the link is not in the state; the message begins with ``what``.
     """
     if link not in state.links:
-        raise ConfigError(f"{what} on {link!r}: no such link in the scene; known: {', '.join(state.links)}")
+        raise ConfigError(f"{what} on {link!r}: the link is not in the scene; its links: {', '.join(state.links)}")
     row = state.links.index(link)
     T_world_link = np.eye(4)
     T_world_link[:3, :3] = matrix_from_quat(state.quats_xyzw[row])
@@ -200,8 +204,8 @@ def _cast(
     spec: LidarSpec | Lidar3DSpec, state: SceneState, cast_rays: CastRays, directions: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Returns the distance along each ray, (N,), metres; +inf = nothing in range."""
-    origins, turned = world_rays(link_pose(state, spec.link, "lidar"), directions)
-    # With errors a wall just beyond the range may be reported as in range, as by a real lidar.
-    part = 5.0 * spec.range_noise_ratio + _MAX_SIGMAS * spec.range_scale
-    margin = 5.0 * spec.range_noise + spec.resolution + 1.5 * part * spec.range_max
-    return cast_rays(origins, turned, spec.range_max + margin, spec.link.partition("/")[0])
+    origins, rotated = world_rays(link_pose(state, spec.link, "lidar"), directions)
+    # With errors, a wall just beyond the range may be reported in range, as by a real lidar.
+    relative = 5.0 * spec.range_noise_ratio + _MAX_SIGMAS * spec.range_scale
+    margin = 5.0 * spec.range_noise + spec.resolution + 1.5 * relative * spec.range_max
+    return cast_rays(origins, rotated, spec.range_max + margin, spec.link.partition("/")[0])

@@ -1,4 +1,4 @@
-"""Organised point clouds from depth images of any camera: one point for each pixel, in the optical frame. Pure."""
+"""Organised point clouds from depth images of any camera: one point per pixel, in the optical frame. Pure."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from gibson_sim.types import CameraSpec, DepthNoise, Frame, ImageEffects, Pose
 F32 = NDArray[np.float32]
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 COLORED_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
-"""``rgb`` is 0x00RRGGBB; PCL and RViz read its four bytes as a float32."""
+"""``rgb`` is 0x00RRGGBB; PCL and RViz reinterpret its four bytes as a float32."""
 
 
 def cloud_of_frame(frame: Frame) -> NDArray[np.void]:
-    """Returns the points of a frame with depth, (H, W) of ``COLORED_POINT``, or of ``POINT`` if it has no colours.
+    """Returns the points of a frame with depth, (H, W) of ``COLORED_POINT``, or of ``POINT`` without colours.
 
-    Points lie in the optical frame, metres; x, y and z are NaN where there is no depth.
+    Points are in the optical frame, metres; x, y and z are NaN where there is no depth.
     """
     assert frame.depth is not None
     cloud = np.empty(frame.depth.shape, dtype=POINT if frame.rgb is None else COLORED_POINT)
-    # Infinite depths times the zeros of rays would give both infinities and NaN.
+    # Products of infinite depths with ray components would be a mix of infinities and NaN.
     depth = np.where(np.isfinite(frame.depth), frame.depth, np.float32(np.nan))
     for name, part in zip("xyz", _rays(_optics(frame.camera)), strict=True):
         np.multiply(part, depth, out=cloud[name])
@@ -35,7 +35,7 @@ def cloud_of_frame(frame: Frame) -> NDArray[np.void]:
 
 
 def _optics(camera: CameraSpec) -> CameraSpec:
-    """Returns the camera reduced to its optics, so that cameras with equal optics share rays."""
+    """Returns the camera with all fields neutral that its rays do not depend on, so that cameras with equal optics share rays."""
     return replace(
         camera, name="", link="", pose=Pose(), rate_hz=1.0, outputs=("depth",), effects=ImageEffects(), depth_noise=DepthNoise()
     )

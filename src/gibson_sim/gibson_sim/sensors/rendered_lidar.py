@@ -1,8 +1,8 @@
-"""A lidar with many beams that is measured by drawing: each ray looks up its distance in pinhole views all around.
+"""A lidar with many beams, simulated by rendering: each ray samples its distance in pinhole views in all directions.
 
-A ray hardly ever passes through the centre of a pixel, so the depth there is extrapolated to it along the surface: on a plane
-``1 / depth`` is linear in the pixels, and the neighbours on the same plane give its slope. There is no such neighbour across an edge,
-and nothing is averaged across it. Rays of the physics engine hit collision shapes; rays here hit visuals.
+A ray hardly ever passes through a pixel's centre, so the depth is extrapolated from the centre along the surface: on a plane ``1 / depth``
+is linear in the pixels, with the slope given by neighbours on the same plane. Neighbours across an edge are not used. Rays of the physics
+engine hit collision shapes; rays of this lidar hit visuals.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from gibson_sim.types import CameraSpec, Frame, Output, SceneState
 
 MAX_ELEVATION = math.radians(90.0)
 _STEEP = math.radians(45.0)
-"""Elevation above which rays are looked up in views straight up and down, radians."""
+"""Elevation above which rays are sampled in views straight up and down, radians."""
 _NEAR = 0.01
-"""Near plane, metres: what is nearer to the lidar hides nothing."""
+"""Depth of the near plane, metres: nearer surfaces are transparent to the lidar."""
 _MARGIN = 3
-"""Pixels around the outermost rays: for rounding and two neighbours."""
+"""Margin around the outermost rays, pixels, for rounding and two neighbours."""
 _MIN_FOCAL_PX, _MAX_FOCAL_PX = 48.0, 4000.0
 _FAR_AWAY = 1e6
-"""Depth below the scene of the lidar's own body while it measures, metres."""
+"""Distance by which the lidar's own body is moved down, out of the scene, while it measures, metres."""
 _ROUNDING = 2e-5
-"""Relative rounding error of a drawn depth."""
+"""Relative rounding error of a rendered depth."""
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -39,7 +39,7 @@ I64 = NDArray[np.int64]
 
 
 class FrameRenderer(Protocol):
-    """The part of ``Renderer`` that is needed here."""
+    """The part of ``Renderer`` required by lidars."""
 
     def render(self, state: SceneState, cameras: Sequence[CameraSpec]) -> list[Frame]:
         """Returns a frame for each camera."""
@@ -50,15 +50,16 @@ class LidarPattern:
     """The rays of a spinning lidar: every beam at every azimuth, all at the same instant."""
 
     elevations: tuple[float, ...]
-    """Radians above the link's x-y plane, one for each beam (ring), in any order."""
+    """Angle of each beam (ring) above the link's x-y plane, radians, in any order."""
     azimuth_steps: int = 720
-    """Rays of a beam in one revolution, evenly spaced: the first along the link's x axis, then counter-clockwise."""
+    """Number of rays of a beam per revolution, evenly spaced: the first along the link's x axis, then counter-clockwise."""
     range_min: float = 0.3
-    """Metres; nearer returns are reported as -inf (REP 117)."""
+    """Smallest range, metres; nearer returns are reported as -inf (REP 117)."""
     range_max: float = 100.0
-    """Metres; no return nearer than this is reported as +inf (REP 117)."""
+    """Largest range, metres; farther returns are reported as +inf (REP 117)."""
     pixels_per_step: float = 2.0
-    """Resolution of the views: pixels between two rays of a beam at their centre, and more elsewhere. It determines the accuracy of edges."""
+    """Resolution of the views: pixels between successive rays of a beam at the centre of a view, more elsewhere. It determines the accuracy
+    of edges."""
 
     def __post_init__(self) -> None:
         if not self.elevations or not all(abs(e) <= MAX_ELEVATION for e in self.elevations):
@@ -87,7 +88,7 @@ class RenderedScan:
     """One revolution of a lidar. ``points``, ``ring``, ``column`` and the fields after them have a row for each return, ring by ring."""
 
     stamp_ns: int
-    """Stamp of the state that was measured."""
+    """Stamp of the measured state."""
     link: str
     """``<body>/<link>``, the frame of the points."""
     ranges: F32
@@ -95,34 +96,34 @@ class RenderedScan:
     points: F32
     """(N, 3) float32, metres, frame of the link."""
     ring: NDArray[np.uint16]
-    """(N,) uint16, index into the pattern's elevations."""
+    """(N,) uint16, index in the pattern's elevations."""
     column: NDArray[np.uint16]
     """(N,) uint16, azimuth step."""
     semantic: NDArray[np.uint16] | None = None
-    """(N,) uint16, index into the scene's semantic classes, or None if not requested."""
+    """(N,) uint16, index in the scene's semantic classes; None = not requested."""
     instance: NDArray[np.uint16] | None = None
-    """(N,) uint16, index into the scene's instances, or None."""
+    """(N,) uint16, index in the scene's instances; None = not requested."""
     intensity: F32 | None = None
-    """(N,) float32, 0 to 1, or None."""
+    """(N,) float32, 0 to 1; None = not requested."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LidarView:
-    """A pinhole view and the rays that are looked up in it."""
+    """A pinhole view and the rays sampled in it."""
 
     camera: CameraSpec
-    """Its pose is in the frame of the lidar's link; its own link is empty."""
+    """Camera whose pose is in the frame of the lidar's link; its link is empty."""
     T_link_view: Mat4
     rays: I64
-    """(R,) numbers of the rays, ring by ring."""
+    """(R,), indices of the rays, ring by ring."""
     pixel: I64
-    """(R,) index of the nearest pixel of each, row by row."""
+    """(R,), index of the pixel nearest to each ray, row by row."""
     right: F32
-    """(R,) pixels from its centre to the ray, to the right."""
+    """(R,), offset to the right from the pixel's centre to the ray, pixels."""
     down: F32
-    """(R,) the same, downwards."""
+    """(R,), offset downwards from the pixel's centre to the ray, pixels."""
     length: F32
-    """(R,) metres of ray for each metre along the axis."""
+    """(R,), ratio of the distance along the ray to the depth."""
 
 
 class RenderedLidar:
@@ -131,10 +132,10 @@ class RenderedLidar:
     Args:
         link: ``<body>/<link>``; the rays start at its origin.
         pattern: directions of the rays.
-        labels: also return the semantic class and the instance at each return.
-        intensity: also return the intensity: the brightness of the picture times the cosine of the angle of incidence (that of a matte
-            surface that is as bright under the lidar's own light as under the lights of the scene).
-        see_own_body: whether rays hit the body that carries the lidar; those of the ray-cast lidar do not.
+        labels: also return the semantic class and the instance of each return.
+        intensity: also return the intensity: the brightness of the picture times the cosine of the angle of incidence (exact for a
+            Lambertian surface that is as bright under the lidar's light as under the lights of the scene).
+        see_own_body: whether rays hit the body that carries the lidar; rays of the ray-cast lidar do not.
     """
 
     def __init__(
@@ -152,21 +153,21 @@ class RenderedLidar:
 
     @property
     def views(self) -> tuple[CameraSpec, ...]:
-        """The cameras that are drawn, posed in the frame of the link."""
+        """Cameras of the views, posed in the frame of the link."""
         return tuple(view.camera for view in self._views)
 
     def measure(self, state: SceneState, renderer: FrameRenderer) -> RenderedScan:
-        """Returns the scan of the lidar in ``state``; all its views are drawn in one call.
+        """Returns the scan of the lidar in ``state``; all views are rendered in one call.
 
         Args:
             state: poses of all links.
-            renderer: of the scene of the state.
+            renderer: renderer of the state's scene.
 
         Raises:
-            ConfigError: the scene has no such link.
+            ConfigError: the link is not in the state.
         """
         if self.link not in state.links:
-            raise ConfigError(f"lidar on {self.link!r}: no such link in the scene; known: {', '.join(state.links)}")
+            raise ConfigError(f"lidar on {self.link!r}: the link is not in the scene; its links: {', '.join(state.links)}")
         row = state.links.index(self.link)
         T_world_link = np.eye(4)
         T_world_link[:3, :3] = matrix_from_quat(state.quats_xyzw[row])
@@ -175,14 +176,14 @@ class RenderedLidar:
         frames = renderer.render(state if self._see_own_body else self._without_own_body(state), cameras)
         distance = np.empty(len(self.directions), dtype=np.float32)
         for view, frame in zip(self._views, frames, strict=True):
-            distance[view.rays] = _look_up(view, frame)
+            distance[view.rays] = _sample_distances(view, frame)
         return self._scan(state.stamp_ns, distance, frames)
 
     def _without_own_body(self, state: SceneState) -> SceneState:
-        """Returns the state with the links of the lidar's body far below the scene."""
+        """Returns the state with the links of the lidar's body moved far below the scene."""
         body = self.link.partition("/")[0]
-        own = np.array([link.partition("/")[0] == body for link in state.links])
-        return replace(state, positions=state.positions - own[:, None] * (0.0, 0.0, _FAR_AWAY))
+        is_own = np.array([link.partition("/")[0] == body for link in state.links])
+        return replace(state, positions=state.positions - is_own[:, None] * (0.0, 0.0, _FAR_AWAY))
 
     def _scan(self, stamp_ns: int, distance: F32, frames: Sequence[Frame]) -> RenderedScan:
         pattern = self.pattern
@@ -229,13 +230,13 @@ def _directions(pattern: LidarPattern) -> F64:
 
 
 def _views(pattern: LidarPattern, directions: F64, outputs: tuple[Output, ...]) -> list[_LidarView]:
-    """Returns the views that all rays need: four around, and one up and one down if there are steep rays."""
+    """Returns the views required by the rays: up to four horizontal ones, and one up and one down for steep rays."""
     focal = pattern.pixels_per_step * pattern.azimuth_steps / (2 * math.pi)
     focal = min(max(focal, _MIN_FOCAL_PX), _MAX_FOCAL_PX)
     steep = np.abs(directions[:, 2]) > math.sin(_STEEP)
     quarter = np.round(np.arctan2(directions[:, 1], directions[:, 0]) / (math.pi / 2)).astype(np.int64) % 4
     side = np.where(steep, np.where(directions[:, 2] > 0.0, 4, 5), quarter)
-    rotations = [*(_around(k) for k in range(4)), _upright(1.0), _upright(-1.0)]
+    rotations = [*(_horizontal_view(k) for k in range(4)), _vertical_view(1.0), _vertical_view(-1.0)]
     views = []
     for number, R_link_view in enumerate(rotations):
         rays = np.flatnonzero(side == number)
@@ -244,13 +245,14 @@ def _views(pattern: LidarPattern, directions: F64, outputs: tuple[Output, ...]) 
     return views
 
 
-def _around(quarter: int) -> Mat3:
-    """Returns R_link_view of a horizontal view: optical x is to the right, y down."""
+def _horizontal_view(quarter: int) -> Mat3:
+    """Returns R_link_view of a horizontal view: optical x points right, y down."""
     c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter]
     return np.array([[s, 0.0, c], [-c, 0.0, s], [0.0, -1.0, 0.0]])
 
 
-def _upright(up: float) -> Mat3:
+def _vertical_view(up: float) -> Mat3:
+    """Returns R_link_view of a view straight up, ``up`` = 1, or down, ``up`` = -1."""
     return np.array([[0.0, up, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, up]])
 
 
@@ -283,15 +285,15 @@ def _view(
     return _LidarView(camera, T_link_view, rays, pixel, offset[:, 0], offset[:, 1], length)
 
 
-def _look_up(view: _LidarView, frame: Frame) -> F32:
+def _sample_distances(view: _LidarView, frame: Frame) -> F32:
     """Returns the distance along each ray of a view, (R,), metres, +inf = nothing."""
     assert frame.depth is not None
     inverse = np.reciprocal(frame.depth.ravel())  # +inf becomes 0
     centre = inverse[view.pixel]
-    across = _change(inverse, view.pixel, centre, 1, view.right)
-    along = _change(inverse, view.pixel, centre, frame.camera.width, view.down)
+    horizontal = _change(inverse, view.pixel, centre, 1, view.right)
+    vertical = _change(inverse, view.pixel, centre, frame.camera.width, view.down)
     # Near the horizon of a plane the ray may leave the plane within the pixel, so the extrapolation is limited.
-    extrapolated = np.clip(centre + across + along, 0.5 * centre, 2.0 * centre)
+    extrapolated = np.clip(centre + horizontal + vertical, 0.5 * centre, 2.0 * centre)
     with np.errstate(divide="ignore"):
         return np.asarray(view.length / extrapolated, dtype=np.float32)
 
@@ -299,23 +301,23 @@ def _look_up(view: _LidarView, frame: Frame) -> F32:
 def _change(inverse: F32, pixel: I64, centre: F32, step: int, offset: F32) -> F32:
     """Returns the change of ``inverse`` from the centre of each pixel to ``offset`` pixels beside it, along rows or columns.
 
-    It is linear if the surface continues as a plane on one side, quadratic if it continues as one curve on both sides, and 0 if it
-    continues on neither.
+    The change is linear if the surface continues as a plane on one side, quadratic if it continues as one curve on both sides, and 0 if it
+    continues on neither side.
     """
     rounding = np.float32(_ROUNDING) * centre
-    slopes, bends = [], []
+    slopes, curvatures = [], []
     for side in (step, -step):
         first, second = inverse[pixel + side], inverse[pixel + 2 * side]
         slope = first - centre
-        bend = np.abs(second - first - slope)
-        bends.append(np.where(bend <= 0.5 * np.abs(slope) + rounding, bend, np.float32(np.inf)))
+        curvature = np.abs(second - first - slope)
+        curvatures.append(np.where(curvature <= 0.5 * np.abs(slope) + rounding, curvature, np.float32(np.inf)))
         slopes.append(slope if side > 0 else -slope)
-    after, before = slopes
-    better = np.where(bends[0] <= bends[1], after, before)
-    plane = np.where(np.minimum(*bends) < np.inf, better, np.float32(0.0)) * offset
-    bend = after - before
-    curve = (0.5 * (after + before) + 0.5 * bend * offset) * offset
-    # The second difference at a crease between two planes is far larger than those of the planes.
-    worst = np.maximum(*bends)
-    smooth = (np.abs(bend) <= 2.0 * worst + rounding) & (worst < np.inf)
+    forward, backward = slopes
+    flatter = np.where(curvatures[0] <= curvatures[1], forward, backward)
+    plane = np.where(np.minimum(*curvatures) < np.inf, flatter, np.float32(0.0)) * offset
+    curvature = forward - backward
+    curve = (0.5 * (forward + backward) + 0.5 * curvature * offset) * offset
+    # The second difference at a crease between two planes is far larger than those on the planes.
+    largest = np.maximum(*curvatures)
+    smooth = (np.abs(curvature) <= 2.0 * largest + rounding) & (largest < np.inf)
     return np.where(smooth, curve, plane)

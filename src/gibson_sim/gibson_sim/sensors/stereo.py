@@ -13,12 +13,15 @@ from gibson_sim.types import CameraSpec
 def stereo_pair(left: CameraSpec, baseline: float) -> tuple[CameraSpec, CameraSpec]:
     """Returns a rectified left and right camera: a point at depth z is ``fx baseline / z`` pixels farther left in the right image.
 
-    The right one is offset by ``baseline`` along the optical x axis, on the same link; the baseline is in ``p`` of its camera_info.
+    The right camera is offset by ``baseline`` along the optical x axis, on the same link; the baseline is in ``p`` of its camera_info.
     ``left`` in the name becomes ``right``, or ``_right`` is appended.
 
     Args:
         left: a pinhole camera.
-        baseline: metres, above 0.
+        baseline: distance between the cameras, metres, above 0.
+
+    Raises:
+        ConfigError: the camera is not a pinhole, or the baseline is not positive.
     """
     if not (math.isfinite(baseline) and baseline > 0.0):
         raise ConfigError(f"camera {left.name!r}: stereo baseline is {baseline:g} m, must be a finite number above 0")

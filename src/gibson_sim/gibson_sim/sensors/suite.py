@@ -1,4 +1,4 @@
-"""All sensors of one robot except cameras: which are due at a step, their state, their readings. Pure."""
+"""All sensors of one robot except cameras: their schedule, state and readings. Pure."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 
 class SensedWorld(Protocol):
-    """The part of ``PhysicsWorld`` that sensors need."""
+    """The part of ``PhysicsWorld`` required by sensors."""
 
     def state_of(self, name: str, /) -> SceneState:
         """Returns the current poses of at least the links of one body."""
@@ -32,22 +32,22 @@ class SensedWorld(Protocol):
     def cast_rays(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64], range_max: float, ignore: str | None = None, /
     ) -> NDArray[np.float64]:
-        """Returns the distance to the first hit of every ray."""
+        """Returns the distance to the first hit of every ray, (N,), metres; +inf = no hit."""
 
     def contacts(self, name: str, /) -> tuple[Contact, ...]:
-        """Returns the contacts of a body with others."""
+        """Returns the contacts of a body with other bodies."""
 
     def joint_states(self, robot: str, /) -> JointStates:
         """Returns the states of a robot's movable joints."""
 
 
 _Read = Callable[[SensedWorld, int, int], Any]
-"""Returns a reading, from (world, step, stamp_ns)."""
+"""Measures: (world, step, stamp_ns) -> reading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """Readings of one step; each has the name of its sensor."""
+    """Readings of one step; each reading has the name of its sensor."""
 
     stamp_ns: int
     scans: tuple[Scan, ...] = ()
@@ -64,19 +64,22 @@ class Measurements:
 class SensorSuite:
     """The sensors of one robot.
 
-    Lidars and bumpers measure at the ticks at which the state is published, so that there is a transform with their stamp; the IMU
-    and the battery measure at steps. Each is due by ``schedule.is_due``.
+    Lidars and bumpers measure at the ticks at which the state is published, so that a transform with their stamp exists; IMUs and the
+    battery measure at steps. ``schedule.is_due`` defines when each sensor is due.
     """
 
     def __init__(self, robot: RobotSpec, step_hz: int, publish_hz: int, gravity: Vec3, seed: int = 0) -> None:
-        """Makes all sensors ready for step 0.
+        """Creates all sensors in their state at step 0.
 
         Args:
-            robot: that carries them.
-            step_hz: physics steps a second.
+            robot: robot that carries the sensors.
+            step_hz: physics steps per second.
             publish_hz: rate of published states; must divide ``step_hz``.
-            gravity: world frame, m/s^2.
-            seed: of the simulation; with a sensor's seed and name and the stamp it determines every error.
+            gravity: gravitational acceleration, world frame, m/s^2.
+            seed: seed of the simulation; with a sensor's seed and name and the stamp it determines every error.
+
+        Raises:
+            ConfigError: ``publish_hz`` does not divide ``step_hz``.
         """
         if step_hz % publish_hz:
             raise ConfigError(f"sensors: publish_hz is {publish_hz}, must divide step_hz, which is {step_hz}")
@@ -112,20 +115,20 @@ class SensorSuite:
 
     @property
     def misses(self) -> dict[str, int]:
-        """Number of readings that each sensor missed since the last reset."""
+        """Number of readings missed by each sensor since the last reset."""
         return {task.name: task.misses for task in self._tasks}
 
     def measure(
         self, world: SensedWorld, step: int, stamp_ns: int, is_requested: Callable[[str], bool] | None = None
     ) -> Measurements:
-        """Returns the readings that are due at ``step``, mostly none; call it after every step of the world.
+        """Returns the readings due at ``step``, mostly none; call it after every step of the world.
 
         Args:
-            world: after ``step`` steps.
-            step: steps since load; call ``reset`` after going back.
-            stamp_ns: of that step.
-            is_requested: returns whether the named sensor is to be measured. It is called for lidars, which take longest, and for IMUs
-                without random walk, whose first sample after a pause is skipped too. None = all sensors are measured.
+            world: world after ``step`` steps.
+            step: steps since loading; call ``reset`` after a jump backwards.
+            stamp_ns: stamp of that step.
+            is_requested: returns whether the named sensor is requested. It is called for lidars, which take the most time, and for IMUs
+                without random walk, whose first sample after a pause is skipped too. None = all sensors are requested.
         """
         if self._next is None or step < self._next:
             return Measurements(stamp_ns)
@@ -179,7 +182,7 @@ def _imu(imu: Imu, robot: str, step_hz: int) -> _Task:
 
 
 class _Timer:
-    """The steps at which a sensor is due, in integers: the same as ``schedule.is_due`` at every tick."""
+    """The steps at which a sensor is due, in integer arithmetic: equal to ``schedule.is_due`` at every tick."""
 
     def __init__(self, rate_hz: float, step_hz: int, steps_per_tick: int) -> None:
         tick_hz = Fraction(step_hz, steps_per_tick)
@@ -187,11 +190,11 @@ class _Timer:
         self._up, self._down, self._steps = ratio.numerator, ratio.denominator, steps_per_tick
 
     def count(self, step: int) -> int:
-        """Returns how often the sensor was due up to ``step``, inclusive."""
+        """Returns the number of times the sensor was due up to ``step``, inclusive."""
         return step // self._steps * self._up // self._down
 
     def step_of(self, count: int) -> int:
-        """Returns the step at which it is due for the ``count``-th time."""
+        """Returns the step at which the sensor is due for the ``count``-th time."""
         return -(-count * self._down // self._up) * self._steps
 
 
@@ -199,12 +202,12 @@ class _Task:
     """A sensor and the step at which it is due next.
 
     Args:
-        name: of the sensor.
+        name: name of the sensor.
         kind: field of ``Measurements``.
-        timer: when it is due.
+        timer: steps at which the sensor is due.
         read: measures.
-        can_skip: whether it is skipped while it is not requested.
-        resume: called instead of ``read`` the first time after it was skipped; None = ``read`` is called.
+        can_skip: whether the sensor is skipped while it is not requested.
+        resume: called instead of ``read`` for the first reading after skipping; None = ``read`` is called.
     """
 
     def __init__(
@@ -228,13 +231,13 @@ class _Task:
         self.skipped = False
 
     def advance(self, step: int) -> bool:
-        """Returns whether the sensor is due at ``step``; advances to the next time, and counts those before ``step`` as missed."""
+        """Returns whether the sensor is due at ``step``; advances ``due``, and counts readings due before ``step`` as missed."""
         count = self._timer.count(step)
-        now = self._timer.step_of(count) == step
-        self.misses += count - self._count - now
+        is_due = self._timer.step_of(count) == step
+        self.misses += count - self._count - is_due
         self._count = count
         self.due = self._timer.step_of(count + 1)
-        return now
+        return is_due
 
     def miss(self, robot: str, error: GibsonSimError) -> None:
         if not self.misses:
