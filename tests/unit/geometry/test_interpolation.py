@@ -72,5 +72,5 @@ def test_scene_without_links() -> None:
 
 @pytest.mark.parametrize("other", [state(5000, [[0.0, 0.0, 0.0]], [0.0]), state(5000, [[0.0] * 3] * 2, [0.0, 0.0], revision=2)])
 def test_states_of_different_scenes_are_refused(other: SceneState) -> None:
-    with pytest.raises(SceneMismatchError, match="nothing in between"):
+    with pytest.raises(SceneMismatchError, match="cannot be interpolated"):
         interpolate_states(EARLY, other, 0.5)

@@ -1,1 +1,1 @@
-"""Transforms, projections, triangles and grids. Knows ``types`` and nothing above."""
+"""Transforms, projections, triangles and grids. Imports ``types`` and nothing above it."""

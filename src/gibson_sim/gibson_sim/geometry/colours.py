@@ -1,6 +1,6 @@
-"""Conversion between sRGB and linear light (IEC 61966-2-1). Imports NumPy alone, because Blender's Python imports this module too.
+"""Conversion between sRGB and linear light (IEC 61966-2-1). Imports only NumPy, because Blender's Python imports this module too.
 
-Values are 0 to 1; values beyond are clipped. Arrays of float32 are computed and returned in float32, all others in float64.
+Values are 0 to 1; values outside are clipped. Arrays of float32 are computed and returned in float32, all others in float64.
 """
 
 from __future__ import annotations
@@ -11,30 +11,30 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of linear red, green and blue in luminance (ITU-R BT.709)."""
+"""Luminance weights of linear red, green and blue (ITU-R BT.709)."""
 
 
 def linear_from_srgb(values: ArrayLike) -> NDArray[Any]:
-    """Returns the linear values of sRGB ones, in the same shape; NaN stays."""
+    """Converts sRGB values to linear values of the same shape; NaN is kept."""
     srgb = np.clip(_floats(values), 0.0, 1.0)
     return np.asarray(np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4), dtype=srgb.dtype)
 
 
 def srgb_from_linear(values: ArrayLike) -> NDArray[Any]:
-    """Returns the sRGB values of linear ones, in the same shape; NaN stays."""
-    return _encoded(np.clip(_floats(values), 0.0, 1.0))
+    """Converts linear values to sRGB values of the same shape; NaN is kept."""
+    return _encode(np.clip(_floats(values), 0.0, 1.0))
 
 
 def srgb8_from_linear(values: ArrayLike) -> NDArray[np.uint8]:
-    """Returns the sRGB values, 0 to 255, of linear ones, in the same shape; NaN becomes 0."""
-    # fmax returns the number of a NaN and a number.
-    srgb = _encoded(np.minimum(np.fmax(_floats(values), 0.0), 1.0))
+    """Converts linear values to sRGB values, 0 to 255, of the same shape; NaN becomes 0."""
+    # fmax ignores NaN.
+    srgb = _encode(np.minimum(np.fmax(_floats(values), 0.0), 1.0))
     srgb *= 255.0
     return np.asarray(np.rint(srgb, out=srgb), dtype=np.uint8)
 
 
 def linear16_from_srgb8(colors: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Returns the linear values, 0 to 65535, of sRGB ones, 0 to 255, in the same shape."""
+    """Converts sRGB values, 0 to 255, to linear values, 0 to 65535, of the same shape."""
     return _LINEAR16[colors]
 
 
@@ -43,8 +43,8 @@ def _floats(values: ArrayLike) -> NDArray[Any]:
     return array if array.dtype == np.float32 else array.astype(np.float64, copy=False)
 
 
-def _encoded(linear: NDArray[Any]) -> NDArray[Any]:
-    # In place: images are large, and allocating memory costs as much as the arithmetic.
+def _encode(linear: NDArray[Any]) -> NDArray[Any]:
+    # In place: images are large, and allocating memory takes as long as the arithmetic.
     curve = linear ** (1 / 2.4)
     curve *= 1.055
     curve -= 0.055

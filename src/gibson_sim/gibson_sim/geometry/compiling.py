@@ -19,11 +19,11 @@ except ImportError:
 Number = TypeVar("Number", bound=np.generic)
 Function = TypeVar("Function", bound=Callable[..., Any])
 CAN_COMPILE: bool = njit is not None and not config.DISABLE_JIT  # type: ignore[attr-defined]
-"""Whether ``compiled`` compiles. If not, loops are far slower than NumPy: callers then use a NumPy version, which must give equal results."""
+"""Whether ``compiled`` compiles. Without compilation loops are far slower than NumPy, so callers use a NumPy version with equal results."""
 
 
 def _defer_interrupts() -> None:
-    """Defers Ctrl-C to the end of a compilation: in the middle of one it causes a stack trace or a segmentation fault."""
+    """Defers Ctrl-C to the end of a compilation: during a compilation it causes a stack trace or a segmentation fault."""
     depth, handler, deferred = 0, None, False
 
     def defer(*_: object) -> None:
@@ -60,21 +60,21 @@ if CAN_COMPILE:
 
 
 def compiled(function: Function) -> Function:
-    """Returns the function, which is compiled at its first call in an installation, in seconds; later processes load it from a cache.
+    """Returns the function, compiled at its first call in an installation, which takes seconds; later processes load it from a cache.
 
-    Operations are neither fused nor reordered, so that the results are those of NumPy to the bit.
+    Operations are neither fused nor reordered, so that the results are bit-identical to those of NumPy.
     """
     if not CAN_COMPILE:
         return function
     try:
         return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
     except RuntimeError:
-        # Neither the folder of the module nor the user's cache is writable: the function is compiled again in every process.
+        # Neither the folder of the module nor the user's cache is writable, so the function is compiled in every process.
         return cast(Function, njit(nogil=True, error_model="numpy")(function))
 
 
 def fixed(values: NDArray[Number]) -> NDArray[Number]:
-    """Returns a read-only, contiguous array: a loop is compiled again for every kind of array that it is called with."""
+    """Returns a read-only, contiguous view or copy, since a loop is compiled again for every array type that it is called with."""
     view = np.ascontiguousarray(values).view()
     view.flags.writeable = False
     return view

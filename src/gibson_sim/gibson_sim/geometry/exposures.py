@@ -1,8 +1,8 @@
-"""The states from which an image with motion blur or a rolling shutter is drawn. Pure.
+"""Plans the states at which an image with motion blur or a rolling shutter is rendered. Pure.
 
-The stamp of an image is the end of its last row's exposure, since that is the newest state that is known when it is drawn. The exposure of
-row r ends ``readout_s (rows - 1 - r) / (rows - 1)`` earlier, and begins ``shutter_s`` before that. Colours are averaged over the exposure;
-depth, labels and normals are those at its end. Motion between two states is uniform, and is extrapolated before the earlier one.
+The stamp of an image is the end of its last row's exposure, since this is the newest known state. The exposure of row r ends
+``readout_s (rows - 1 - r) / (rows - 1)`` earlier and lasts ``shutter_s``. Colours are averaged over the exposure; depth, labels and normals
+are those at its end. Motion between two states is assumed uniform, and extrapolated before the earlier state.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, matrix_from_q
 from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
 MAX_BANDS = 32
-"""Largest number of bands of rows of a rolling shutter."""
+"""Maximum number of bands of rows of a rolling shutter."""
 BAND_MOTION_PX = 0.5
-"""Largest motion from one band to the next, pixels, unless ``MAX_BANDS`` is reached."""
+"""Maximum motion from one band to the next, pixels, unless ``MAX_BANDS`` is reached."""
 MAX_SAMPLES = 17
-"""Largest number of pictures that are averaged for motion blur; there is one for each pixel of motion up to this."""
+"""Maximum number of pictures averaged for motion blur; one picture is drawn per pixel of motion up to this number."""
 MAX_PICTURES = 256
-"""Largest number of pictures for an image with both effects: many bands have fewer samples each, but at least three."""
+"""Maximum number of pictures for an image with both effects: with many bands each has fewer samples, but at least three."""
 LEAST_MOTION_PX = 0.1
-"""Motion below which one picture is drawn without these effects, pixels."""
+"""Motion below which an image is drawn without these effects, pixels."""
 PROBE_DISTANCE = 1.0
-"""Distance of the static world at which its motion is estimated, metres. Nearer things move farther from one band or sample to the next."""
+"""Distance at which the image motion of the static world is estimated, metres. Nearer objects move by more pixels per band or sample."""
 _LINK_RADIUS = 0.25
 """Distance from the origin of a rotating link at which its motion is estimated, metres."""
 
@@ -42,9 +42,9 @@ class Exposure:
     rows: slice
     """Rows of the image."""
     weight: float
-    """Weight of this picture in the colours of these rows, in linear light; the weights of a row add up to 1."""
+    """Weight of this picture in the colours of these rows, in linear light; the weights of a row sum to 1."""
     geometry: bool
-    """Whether depth, labels and normals of these rows come from this picture: true once for each row."""
+    """Whether depth, labels and normals of these rows come from this picture; true for one picture of each row."""
 
 
 def needs_previous(camera: CameraSpec) -> bool:
@@ -53,13 +53,13 @@ def needs_previous(camera: CameraSpec) -> bool:
 
 
 def exposures(camera: CameraSpec, previous: SceneState | None, current: SceneState) -> list[Exposure]:
-    """Returns the pictures for one image, rows from top to bottom; for each row, the end of its exposure comes last.
+    """Returns the pictures for one image, rows from top to bottom; the end of each row's exposure comes last.
 
-    Without motion, without shutter and readout times, or without a previous state this is one exposure of ``current``.
+    Without motion, without shutter and readout times, or without a previous state, this is one exposure of ``current``.
 
     Args:
         camera: the camera, with ``effects.shutter_s`` and ``effects.readout_s``.
-        previous: an earlier state of the same scene, preferably recent; None = nothing has moved.
+        previous: an earlier state of the same scene, preferably recent; None = no motion.
         current: the state at the stamp of the image.
 
     Raises:
@@ -80,16 +80,16 @@ def exposures(camera: CameraSpec, previous: SceneState | None, current: SceneSta
     for first, end in pairwise(edges):
         # A band is drawn at the time of its middle row; a single band moves by less than half a pixel and needs no correction.
         rows_after = camera.height - 1 - (first + end - 1) / 2
-        before_stamp = readout * rows_after / (camera.height - 1) if bands > 1 else 0.0
+        end_before_stamp = readout * rows_after / (camera.height - 1) if bands > 1 else 0.0
         for k, weight in reversed(list(enumerate(_weights(samples)))):
-            ago = before_stamp + shutter * k / max(samples - 1, 1)
-            state = interpolate_states(previous, current, 1.0 - ago / interval)
+            before_stamp = end_before_stamp + shutter * k / max(samples - 1, 1)
+            state = interpolate_states(previous, current, 1.0 - before_stamp / interval)
             out.append(Exposure(state, slice(first, end), weight, k == 0))
     return out
 
 
 def _weights(samples: int) -> list[float]:
-    """Returns the weights of the trapezoidal rule, whose samples include the end of the exposure, which has the geometry."""
+    """Returns the weights of the trapezoidal rule, whose samples include the end of the exposure, from which geometry is taken."""
     if samples == 1:
         return [1.0]
     inner = 1.0 / (samples - 1)
@@ -97,37 +97,37 @@ def _weights(samples: int) -> list[float]:
 
 
 def pixel_motion(camera: CameraSpec, earlier: SceneState, later: SceneState) -> float:
-    """Returns an estimate of the largest motion in the image from one state to another, pixels.
+    """Estimates the largest motion in the image from one state to another, pixels.
 
-    It considers points of the static world at ``PROBE_DISTANCE``, at the centre, the edges and the corners of the image, and the links in the
+    Considers points of the static world at ``PROBE_DISTANCE``, at the centre, the edges and the corners of the image, and the links in the
     field of view.
     """
     T_before, T_after = _camera_matrix(camera, earlier), _camera_matrix(camera, later)
     rays, half_angle, focal = _lens(camera)
-    still = T_after[:3, 3] + PROBE_DISTANCE * rays @ T_after[:3, :3].T
-    before = _in_camera(T_before, np.concatenate([still, earlier.positions]))
-    after = _in_camera(T_after, np.concatenate([still, later.positions]))
+    static = T_after[:3, 3] + PROBE_DISTANCE * rays @ T_after[:3, :3].T
+    before = _in_camera(T_before, np.concatenate([static, earlier.positions]))
+    after = _in_camera(T_after, np.concatenate([static, later.positions]))
     distance = np.maximum(np.linalg.norm(after, axis=1), 1e-9)
     angles = np.linalg.norm(np.cross(before, after), axis=1) / np.maximum(np.linalg.norm(before, axis=1) * distance, 1e-12)
-    angles[len(still) :] += _rotations(earlier, later) * _LINK_RADIUS / np.maximum(distance[len(still) :], _LINK_RADIUS)
+    angles[len(static) :] += _rotations(earlier, later) * _LINK_RADIUS / np.maximum(distance[len(static) :], _LINK_RADIUS)
     cosine = after[:, 2] / distance
-    seen = cosine > math.cos(half_angle)
-    seen[: len(still)] = True
-    seen[len(still) :] &= np.asarray([link != camera.link for link in later.links], dtype=bool)
-    # The same angle spans more pixels towards the corners of a pinhole's image.
+    visible = cosine > math.cos(half_angle)
+    visible[: len(static)] = True
+    visible[len(static) :] &= np.asarray([link != camera.link for link in later.links], dtype=bool)
+    # In a pinhole image, an angle spans more pixels towards the corners.
     stretch = np.clip(cosine, math.cos(half_angle), 1.0) ** -2 if camera.projection == "pinhole" else 1.0
-    return float(np.max(angles * stretch, initial=0.0, where=seen)) * focal
+    return float(np.max(angles * stretch, initial=0.0, where=visible)) * focal
 
 
 def _rotations(earlier: SceneState, later: SceneState) -> NDArray[np.float64]:
     """Returns the rotation angle of each link, (N,), radians."""
     dots = np.abs(np.sum(earlier.quats_xyzw * later.quats_xyzw, axis=1))
-    # A dot product just below 1 because of rounding would count as a rotation.
+    # Rounding to a dot product just below 1 must not count as a rotation.
     return np.where(dots > 1.0 - 1e-12, 0.0, 2.0 * np.arccos(np.minimum(dots, 1.0)))
 
 
 def _camera_matrix(camera: CameraSpec, state: SceneState) -> Mat4:
-    """Returns T_world_optical; a camera whose link the state lacks does not move, and drawing will refuse it."""
+    """Returns T_world_optical; a camera whose link is not in the state counts as static, and the renderer reports the error."""
     pose = matrix_from_pose(camera.pose)
     if camera.link not in state.links:
         return pose
@@ -140,13 +140,13 @@ def _camera_matrix(camera: CameraSpec, state: SceneState) -> Mat4:
 
 
 def _in_camera(T_world_camera: Mat4, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns world points (N, 3) in the optical frame, metres."""
-    moved: NDArray[np.float64] = (points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
-    return moved
+    """Transforms world points (N, 3) to the optical frame, metres."""
+    optical: NDArray[np.float64] = (points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
+    return optical
 
 
 def _lens(camera: CameraSpec) -> tuple[NDArray[np.float64], float, float]:
-    """Returns unit rays (N, 3) through centre, edges and corners, the largest angle from the axis, radians, and the focal length, pixels."""
+    """Returns unit rays, (N, 3), through centre, edges and corners, the largest angle from the axis, radians, and the focal length, pixels."""
     k = camera.intrinsics()
     focal = max(float(k[0, 0]), float(k[1, 1]))
     if camera.projection == "pinhole":

@@ -13,7 +13,7 @@ _SMALL_ANGLE = 1e-6
 
 
 def slerp(earlier: ArrayLike, later: ArrayLike, fraction: float) -> NDArray[np.float64]:
-    """Returns unit quaternions (x, y, z, w), (..., 4), on the shortest rotation at constant rate from one to the other.
+    """Returns unit quaternions (x, y, z, w), (..., 4), interpolated along the shortest rotation at a constant rate.
 
     Args:
         earlier: (..., 4), unit quaternions.
@@ -23,7 +23,7 @@ def slerp(earlier: ArrayLike, later: ArrayLike, fraction: float) -> NDArray[np.f
     a = np.asarray(earlier, dtype=np.float64)
     b = np.asarray(later, dtype=np.float64)
     b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0.0, -b, b)
-    # The arc tangent is precise at small angles, where the arc cosine of the dot product is not.
+    # The arc tangent is precise at small angles, unlike the arc cosine of the dot product.
     angle = 2.0 * np.arctan2(np.linalg.norm(b - a, axis=-1, keepdims=True), np.linalg.norm(b + a, axis=-1, keepdims=True))
     small = angle < _SMALL_ANGLE
     sine = np.where(small, 1.0, np.sin(angle))
@@ -37,13 +37,13 @@ def slerp(earlier: ArrayLike, later: ArrayLike, fraction: float) -> NDArray[np.f
 def interpolate_states(earlier: SceneState, later: SceneState, fraction: float) -> SceneState:
     """Returns the state at a fraction of the time from one state to another.
 
-    At 0 and 1 it returns the given states themselves. Beyond [0, 1] the motion is extrapolated, for cameras whose exposure begins a little
-    before ``earlier``.
+    At 0 and 1 it returns the given states. Outside [0, 1] the motion is extrapolated, for cameras whose exposure begins slightly before
+    ``earlier``.
 
     Args:
         earlier: the state at 0.
         later: the state at 1, of the same scene and revision.
-        fraction: of the time between them.
+        fraction: fraction of the time between the states.
 
     Raises:
         SceneMismatchError: the states are not of the same scene and revision.
@@ -51,7 +51,7 @@ def interpolate_states(earlier: SceneState, later: SceneState, fraction: float) 
     if earlier.links != later.links or earlier.revision != later.revision:
         raise SceneMismatchError(
             f"states of revision {earlier.revision} with {len(earlier.links)} links and of revision {later.revision} with "
-            f"{len(later.links)} links have nothing in between; give two states of the same scene"
+            f"{len(later.links)} links cannot be interpolated; give two states of the same scene"
         )
     if fraction == 0.0:
         return earlier

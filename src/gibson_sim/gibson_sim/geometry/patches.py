@@ -1,7 +1,7 @@
-"""The flat patches of a mesh: points spread over its triangles, and a plane through the points in each small cube.
+"""Flat patches of a mesh: points sampled on its triangles, and a plane fitted to the points in each small cube.
 
-Patches depend on the surface, not on its triangulation: a floor of two triangles, one of a million bumpy triangles and a soup of triangles
-that face anywhere give the same patches.
+Patches depend on the surface, not on its triangulation: a floor of two triangles, a floor of a million bumpy triangles and a soup of
+triangles with arbitrary winding give the same patches.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 POINTS = 40_000
-"""Points on a mesh."""
+"""Number of points sampled on a mesh."""
 _POINTS_PER_CUBE = 25.0
-"""Points in the cube of a point, on average over all points."""
+"""Number of points in the cube of a point, on average over all points."""
 _MIN_POINTS = 8
-"""Least number of points of a plane."""
+"""Minimum number of points of a plane."""
 _FLAT = 0.08
-"""Largest variance across a flat patch, relative to the smaller variance along it."""
+"""Largest variance along the normal of a flat patch, relative to the smaller variance in its plane."""
 _ROUNDS = 4
-"""Adjustments of the size of the cubes."""
+"""Number of adjustments of the size of the cubes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,19 +33,19 @@ class Patches:
     """Points on a mesh and their flat patches, in the frame and unit of the mesh."""
 
     points: F64
-    """(N, 3), of uniform density."""
+    """(N, 3), points of uniform density."""
     normals: F64
     """(N, 3), unit normals of the triangles of the points."""
     cube: I64
-    """(N,), the cube of each point: a row of the following arrays."""
+    """(N,), index of the cube of each point: a row of the following arrays."""
     centres: F64
     """(P, 3), centroids of the points in each cube."""
     directions: F64
-    """(P, 3), unit vectors across the patches, of arbitrary sign."""
+    """(P, 3), unit normals of the patches, of arbitrary sign."""
     weights: F64
-    """(P,), number of points of each patch; 0 = the points of the cube lie on no plane."""
+    """(P,), number of points of each patch; 0 = the points of the cube are not on a plane."""
     size: float
-    """Edge of a cube."""
+    """Edge length of a cube."""
 
 
 def flat_patches(vertices: F64, triangles: NDArray[np.integer], rng: np.random.Generator, count: int = POINTS) -> Patches | None:
@@ -53,7 +53,7 @@ def flat_patches(vertices: F64, triangles: NDArray[np.integer], rng: np.random.G
 
     Args:
         vertices: (V, 3).
-        triangles: (F, 3), rows of ``vertices``.
+        triangles: (F, 3), rows in ``vertices``.
         rng: source of randomness for the points.
         count: number of points.
     """

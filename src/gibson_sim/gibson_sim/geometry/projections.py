@@ -5,10 +5,10 @@ pinhole
 fisheye
     ``K`` maps the unit direction in the image times the angle from the axis, distorted by equidistant, to pixels.
 equirectangular
-    ``K`` maps (longitude, -latitude) to pixels: longitude 0 is the z axis, in the middle of the image, and grows to the right, to
-    pi at the right edge; latitude grows upwards (-y), to pi / 2 at the top edge. Square pixels have ``width = 2 height``.
+    ``K`` maps (longitude, -latitude) to pixels: longitude 0 is the z axis, at the middle of the image, and increases to the right, to
+    pi at the right edge; latitude increases upwards (-y), to pi / 2 at the top edge. Square pixels have ``width = 2 height``.
 
-The depth of a pinhole camera is along its axis, that of the others is the distance from the camera's centre.
+The depth of a pinhole camera is measured along its axis; for the other cameras depth is the distance from the camera's centre.
 """
 
 from __future__ import annotations
@@ -45,12 +45,13 @@ def project(points: ArrayLike, camera: CameraSpec) -> tuple[NDArray[np.float64],
             plane, _ = distort(plane, camera.distortion)
         return plane @ k[:2, :2].T + k[:2, 2], z.copy()
     distance = np.linalg.norm(p, axis=1)
-    across = np.hypot(x, y)
+    axis_distance = np.hypot(x, y)
     if camera.projection == "fisheye":
-        theta = np.arctan2(across, z)
+        theta = np.arctan2(axis_distance, z)
         radius = np.where(theta <= camera.fov / 2.0 + _ANGLE_EPSILON, distort_angle(theta, camera.distortion), np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            plane = p[:, :2] * np.where(across > 0.0, radius / across, np.where(radius == 0.0, 0.0, np.nan))[:, None]
+            scale = np.where(axis_distance > 0.0, radius / axis_distance, np.where(radius == 0.0, 0.0, np.nan))
+            plane = p[:, :2] * scale[:, None]
     else:
         plane = np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
     plane[distance == 0.0] = np.nan
@@ -58,7 +59,7 @@ def project(points: ArrayLike, camera: CameraSpec) -> tuple[NDArray[np.float64],
 
 
 def unproject(pixels: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
-    """Returns the points at depth 1, (..., 3), optical frame, of pixels (..., 2); NaN for pixels that see nothing."""
+    """Returns the points at depth 1, (..., 3), optical frame, of pixels (..., 2); NaN for pixels outside the field of view."""
     uv = np.asarray(pixels, dtype=np.float64)
     k = camera.intrinsics()
     py = (uv[..., 1] - k[1, 2]) / k[1, 1]
@@ -72,18 +73,18 @@ def unproject(pixels: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
         theta = undistort_angle(radius, camera.distortion)
         theta = np.where(theta <= camera.fov / 2.0 + _ANGLE_EPSILON, theta, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            across = np.where(radius > 0.0, np.sin(theta) / radius, 1.0)
-        return np.stack([px * across, py * across, np.cos(theta)], axis=-1)
-    seen = (np.abs(px) <= np.pi + _ANGLE_EPSILON) & (np.abs(py) <= np.pi / 2.0 + _ANGLE_EPSILON)
+            scale = np.where(radius > 0.0, np.sin(theta) / radius, 1.0)
+        return np.stack([px * scale, py * scale, np.cos(theta)], axis=-1)
+    valid = (np.abs(px) <= np.pi + _ANGLE_EPSILON) & (np.abs(py) <= np.pi / 2.0 + _ANGLE_EPSILON)
     rays = np.stack([np.cos(py) * np.sin(px), np.sin(py), np.cos(py) * np.cos(px)], axis=-1)
-    rays[~seen] = np.nan
+    rays[~valid] = np.nan
     return rays
 
 
 def rays(camera: CameraSpec) -> NDArray[np.float64]:
-    """Returns the point at depth 1 of each pixel, (H, W, 3), optical frame; NaN for pixels that see nothing.
+    """Returns the point at depth 1 of each pixel, (H, W, 3), optical frame; NaN for pixels outside the field of view.
 
-    They are unit vectors for fisheye and equirectangular cameras; z is 1 for pinhole cameras.
+    The points are unit vectors for fisheye and equirectangular cameras, and have z = 1 for pinhole cameras.
     """
     v, u = np.mgrid[: camera.height, : camera.width]
     return unproject(np.stack([u, v], axis=-1), camera)
@@ -96,17 +97,17 @@ def back_project(depth: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
 
 
 def clip_from_optical(intrinsics: ArrayLike, width: int, height: int, near: float) -> Mat4:
-    """Returns the matrix (4, 4) from a pinhole's optical frame to clip coordinates; the image is x / w and y / w in [-1, 1].
+    """Returns the matrix, (4, 4), from a pinhole's optical frame to clip coordinates; the image is x / w and y / w in [-1, 1].
 
-    y / w = -1 is the top edge of the image: OpenGL, whose row 0 is at the bottom, then writes the top row first. z / w is
+    y / w = -1 is the top edge of the image, so that OpenGL, whose row 0 is at the bottom, writes the top row first. z / w is
     ``near / depth``, 1 at the near plane and 0 at infinity, which suits the precision of floats. Pixel centres are at whole numbers, so the
     left edge of the image is at u = -0.5.
 
     Args:
         intrinsics: K, (3, 3), pixels.
-        width: of the image, pixels.
-        height: of the image, pixels.
-        near: distance of the near plane, metres.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        near: depth of the near plane, metres.
     """
     k = np.asarray(intrinsics, dtype=np.float64)
     to_clip = np.array([[2.0 / width, 0.0, 1.0 / width - 1.0], [0.0, 2.0 / height, 1.0 / height - 1.0]])
@@ -120,7 +121,7 @@ def clip_from_optical(intrinsics: ArrayLike, width: int, height: int, near: floa
 def frustum_planes(intrinsics: ArrayLike, width: int, height: int, near: float) -> NDArray[np.float64]:
     """Returns the planes left, right, top, bottom and near, (5, 4): x (optical frame, metres) is inside if ``planes @ (x, 1) >= 0`` for all.
 
-    The arguments are those of ``clip_from_optical``.
+    For the arguments see ``clip_from_optical``.
     """
     x, y, z, w = clip_from_optical(intrinsics, width, height, near)
     return np.stack([w + x, w - x, w + y, w - y, w - z])

@@ -1,4 +1,4 @@
-"""Triangles seen from above: which cells of a grid they touch. Cells are square, (row, column) along (y, x)."""
+"""Rasterises triangles in top view to the cells of a grid. Cells are square, (row, column) along (y, x)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ I64 = NDArray[np.int64]
 ROUNDING = 1e-6
 """Distance from a border at which a point lies on it, cells."""
 _FAR = 1e9
-"""Largest coordinate; larger ones are clipped to it, cells."""
+"""Limit to which coordinates are clipped, cells."""
 _PAIRS_AT_ONCE = 200_000
-"""Pairs of a triangle and a row or cell that are processed together, which limits memory."""
+"""Maximum number of pairs of a triangle and a row or cell processed at a time, to limit memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,17 +25,17 @@ class Grid:
     """A grid of square cells in the world frame."""
 
     resolution: float
-    """Edge of a cell, metres."""
+    """Edge length of a cell, metres."""
     origin: tuple[float, float]
     """World x, y of the lower left corner of cell [0, 0], metres."""
     shape: tuple[int, int]
-    """Rows (along y), columns (along x)."""
+    """Number of rows (along y) and columns (along x)."""
 
     @staticmethod
     def around(points: ArrayLike, resolution: float) -> Grid:
-        """Returns the grid about points (N, 2), metres, with a rim of one cell, so that outdoors is connected.
+        """Returns the grid around points (N, 2), metres, with a border of one cell, so that the outdoor area is connected.
 
-        Its borders are whole multiples of the cell, so that the grids of one scene are aligned.
+        Its borders are whole multiples of the cell size, so that the grids of one scene are aligned.
         """
         box = np.asarray(points, dtype=np.float64)
         first = np.floor(box.min(axis=0) / resolution + ROUNDING) - 1
@@ -43,11 +43,11 @@ class Grid:
         return Grid(resolution, (float(first[0] * resolution), float(first[1] * resolution)), (height, width))
 
     def cover(self, polygons: F64) -> Bools:
-        """Returns (H, W): every cell that shares more than its rim with one of the convex polygons (P, K, 2), world metres."""
+        """Returns a mask, (H, W), of the cells that overlap one of the convex polygons (P, K, 2), world metres, by more than their border."""
         return rasterise((polygons - np.asarray(self.origin)) / self.resolution, self.shape)
 
     def heights(self, corners: F64, chosen: np.ufunc) -> F64:
-        """Returns (H, W): the highest or lowest height of triangles at the centre of each cell, metres; -inf or +inf where there are none.
+        """Returns the maximum or minimum height of triangles at the centre of each cell, (H, W), metres; -inf or +inf = no triangle.
 
         Args:
             corners: (F, 3, 3), world metres; none of them vertical.
@@ -56,24 +56,24 @@ class Grid:
         rows, columns = self.shape
         out = np.full(rows * columns, -np.inf if chosen is np.maximum else np.inf)
         # In cells, with centres at whole numbers.
-        flat = (corners[:, :, :2] - np.asarray(self.origin)) / self.resolution - 0.5
-        first = np.maximum(np.ceil(flat.min(axis=1) - ROUNDING), 0).astype(np.int64)
-        last = np.minimum(np.floor(flat.max(axis=1) + ROUNDING), [columns - 1, rows - 1]).astype(np.int64)
+        in_cells = (corners[:, :, :2] - np.asarray(self.origin)) / self.resolution - 0.5
+        first = np.maximum(np.ceil(in_cells.min(axis=1) - ROUNDING), 0).astype(np.int64)
+        last = np.minimum(np.floor(in_cells.max(axis=1) + ROUNDING), [columns - 1, rows - 1]).astype(np.int64)
         sizes = np.maximum(last - first + 1, 0)
         counts = sizes.prod(axis=1)
         for which, number in numbered_pairs(counts, _PAIRS_AT_ONCE):
             cells = first[which] + np.stack([number % sizes[which, 0], number // sizes[which, 0]], axis=1)
-            z, inside = _over(corners[which, :, 2], flat[which], cells)
+            z, inside = _interpolated_heights(corners[which, :, 2], in_cells[which], cells)
             chosen.at(out, (cells[:, 1] * columns + cells[:, 0])[inside], z[inside])
         return out.reshape(self.shape)
 
 
 def numbered_pairs(counts: I64, at_once: int) -> Iterator[tuple[I64, I64]]:
-    """Yields items (N,) and numbers (N,) from 0 to before the count of the item, in order, at most ``at_once`` of them together.
+    """Yields all pairs of an item and a number below its count, in order, as arrays of items (N,) and numbers (N,).
 
     Args:
-        counts: (K,), of each item, such as the pixels of a triangle's bounding box.
-        at_once: pairs that are returned together, which limits memory.
+        counts: (K,), count of each item, such as the number of pixels of a triangle's bounding box.
+        at_once: maximum number of pairs yielded at a time, to limit memory.
     """
     ends = np.cumsum(counts)
     for start in range(0, int(ends[-1]) if len(ends) else 0, at_once):
@@ -83,7 +83,7 @@ def numbered_pairs(counts: I64, at_once: int) -> Iterator[tuple[I64, I64]]:
 
 
 def clip_to_slab(corners: F64, low: float, high: float) -> F64:
-    """Returns the parts of triangles (F, 3, 3) between two heights as polygons (P, 9, 2) seen from above; unused corners repeat others."""
+    """Clips triangles (F, 3, 3) to the slab between two heights and returns polygons (P, 9, 2) in top view; unused corners repeat others."""
     if not len(corners):
         return np.zeros((0, 9, 2))
     slots, valid = [], []
@@ -92,7 +92,7 @@ def clip_to_slab(corners: F64, low: float, high: float) -> F64:
         za, zb = a[:, 2], b[:, 2]
         slots.append(a[:, :2])
         valid.append((za >= low) & (za <= high))
-        # In the order in which the edge crosses them.
+        # The two heights in the order in which the edge crosses them.
         up = (zb > za)[:, None]
         near, far = np.where(up[:, 0], low, high), np.where(up[:, 0], high, low)
         for z in (near, far):
@@ -102,15 +102,15 @@ def clip_to_slab(corners: F64, low: float, high: float) -> F64:
             slots.append(a[:, :2] + np.where(crosses, t, 0.0)[:, None] * (b - a)[:, :2])
             valid.append(crosses)
     points, used = np.stack(slots, axis=1), np.stack(valid, axis=1)
-    # An unused slot repeats the one used before it (cyclically), which adds an edge of length 0.
+    # An unused slot repeats the preceding used one (cyclically), which adds an edge of length 0.
     order = np.where(used, np.arange(9), -1)
-    before = np.maximum.accumulate(order, axis=1)
-    before = np.where(before < 0, order.max(axis=1, keepdims=True), before)
-    return np.asarray(np.take_along_axis(points, np.maximum(before, 0)[:, :, None], axis=1)[used.any(axis=1)])
+    preceding = np.maximum.accumulate(order, axis=1)
+    preceding = np.where(preceding < 0, order.max(axis=1, keepdims=True), preceding)
+    return np.asarray(np.take_along_axis(points, np.maximum(preceding, 0)[:, :, None], axis=1)[used.any(axis=1)])
 
 
 def rasterise(polygons: F64, shape: tuple[int, int]) -> Bools:
-    """Returns (H, W): every cell that shares more than its rim with one of the convex polygons (P, K, 2), in cells."""
+    """Returns a mask, (H, W), of the cells that overlap one of the convex polygons (P, K, 2), in cells, by more than their border."""
     grid = np.zeros((shape[0], shape[1] + 1), dtype=np.int32)
     if not len(polygons):
         return np.zeros(shape, dtype=bool)
@@ -134,12 +134,12 @@ def _cell_range(low: F64, high: F64, size: int) -> tuple[I64, I64]:
 
 
 def _clipped(cells: F64, size: int) -> I64:
-    """Returns numbers of cells clipped to the grid; values that are not finite become the first cell."""
+    """Returns cell indices clipped to the grid; values that are not finite become the first cell."""
     return np.clip(np.nan_to_num(cells, nan=0.0, posinf=0.0, neginf=0.0), 0, size - 1).astype(np.int64)
 
 
 def _extent_in_band(polygons: F64, rows: F64) -> tuple[F64, F64]:
-    """Returns the smallest and the largest x of convex polygons (P, K, 2) within the bands rows <= y <= rows + 1."""
+    """Returns the minimum and maximum x of convex polygons (P, K, 2) within the bands rows <= y <= rows + 1."""
     x, y = polygons[:, :, 0], polygons[:, :, 1]
     bottom, top = rows[:, None], rows[:, None] + 1.0
     inside = (y >= bottom - ROUNDING) & (y <= top + ROUNDING)
@@ -150,19 +150,19 @@ def _extent_in_band(polygons: F64, rows: F64) -> tuple[F64, F64]:
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (level - y) / dy
         crosses = (dy != 0) & (t >= 0) & (t <= 1)
-        at = x + np.where(crosses, t, 0.0) * dx
-        left = np.minimum(left, np.where(crosses, at, np.inf).min(axis=1))
-        right = np.maximum(right, np.where(crosses, at, -np.inf).max(axis=1))
+        crossing = x + np.where(crosses, t, 0.0) * dx
+        left = np.minimum(left, np.where(crosses, crossing, np.inf).min(axis=1))
+        right = np.maximum(right, np.where(crosses, crossing, -np.inf).max(axis=1))
     return left, right
 
 
-def _over(z: F64, triangles: F64, points: I64) -> tuple[F64, Bools]:
+def _interpolated_heights(z: F64, triangles: F64, points: I64) -> tuple[F64, Bools]:
     """Returns the heights (N,) at points (N, 2) of triangles (N, 3, 2) with heights z (N, 3), and whether each point is inside (N,)."""
     a, b, c = (triangles[:, k] for k in range(3))
-    ab, ac, to = b - a, c - a, points - a
-    whole = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    ab, ac, ap = b - a, c - a, points - a
+    twice_area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        v = (to[:, 0] * ac[:, 1] - to[:, 1] * ac[:, 0]) / whole
-        w = (ab[:, 0] * to[:, 1] - ab[:, 1] * to[:, 0]) / whole
+        v = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / twice_area
+        w = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / twice_area
         inside = (v >= -ROUNDING) & (w >= -ROUNDING) & (v + w <= 1 + ROUNDING)
         return (1 - v - w) * z[:, 0] + v * z[:, 1] + w * z[:, 2], np.asarray(inside)

@@ -35,7 +35,7 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
 
 
 def yaw_from_quat(quat_xyzw: ArrayLike) -> float:
-    """Returns the yaw of a unit quaternion (4,), the heading of its x axis in the x-y plane, radians in (-pi, pi]."""
+    """Returns the yaw of a unit quaternion (x, y, z, w), the heading of its x axis in the x-y plane, radians in (-pi, pi]."""
     x, y, z, w = (float(c) for c in np.asarray(quat_xyzw, dtype=np.float64))
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -56,10 +56,10 @@ def camera_pose(eye: Vec3, look_at: Vec3) -> Pose:
 
     Args:
         eye: position of the camera, world metres.
-        look_at: point at the centre of its image, world metres; neither the eye itself nor straight above or below it.
+        look_at: point at the centre of the image, world metres; neither at the eye nor straight above or below it.
 
     Raises:
-        ConfigError: no camera without roll looks at the point.
+        ConfigError: the points coincide, or one is straight above the other.
     """
     forward = np.subtract(look_at, eye).astype(np.float64)
     right = np.cross(forward, (0.0, 0.0, 1.0))
@@ -70,7 +70,7 @@ def camera_pose(eye: Vec3, look_at: Vec3) -> Pose:
 
 
 def rotated(quat_xyzw: Quat, vector: Vec3) -> Vec3:
-    """Returns a vector rotated by a unit quaternion, in plain floats, which takes a tenth of the time of arrays for one vector."""
+    """Rotates a vector by a unit quaternion, in plain floats, which for one vector takes a tenth of the time of arrays."""
     x, y, z, w = quat_xyzw
     a, b, c = vector
     u, v, t = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
@@ -99,7 +99,7 @@ def quat_from_matrix(rotation: ArrayLike) -> Quat:
 
 
 def pose_from_xyz_rpy(xyz: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0)) -> Pose:
-    """Returns the pose at ``xyz`` (metres) turned by roll, pitch, yaw (radians)."""
+    """Returns the pose at ``xyz`` (metres) rotated by roll, pitch, yaw (radians)."""
     return Pose((float(xyz[0]), float(xyz[1]), float(xyz[2])), quat_from_rpy(*rpy))
 
 
@@ -137,7 +137,7 @@ def invert(matrix: ArrayLike) -> Mat4:
 
 
 def transform_points(matrix: ArrayLike, points: ArrayLike) -> NDArray[np.float64]:
-    """Returns points (N, 3) in frame a, given T_a_b (4, 4, may scale) and points (N, 3) in frame b."""
+    """Transforms points (N, 3) from frame b to frame a by T_a_b (4, 4), which may scale."""
     m = np.asarray(matrix, dtype=np.float64)
     return np.asarray(points, dtype=np.float64) @ m[:3, :3].T + m[:3, 3]
 

@@ -1,4 +1,4 @@
-"""Welds, measures, smooths and simplifies triangle meshes, the last with meshoptimizer. Knows no file format."""
+"""Welds, measures, smooths and simplifies triangle meshes, the last with meshoptimizer. Independent of file formats."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _ERROR_IN_METRES = 4
 _PRUNE = 8
 """meshopt_SimplifyPrune: removes parts smaller than the error."""
 _NO_LIMIT = 1000.0
-"""Error without effect, metres."""
+"""Error limit without effect, metres."""
 _ROUNDS = 10
-"""Rounds of smoothing."""
+"""Number of smoothing rounds."""
 _NEAREST = (4, 64)
-"""Sample points whose triangles a point is compared with, at first, and if it is doubtful."""
+"""Number of nearest sample points whose triangles a point is compared with: in the first pass, and in the second for doubtful points."""
 _DOUBTFUL = 0.02
-"""Distance above which a point is doubtful, metres."""
+"""Distance above which the result of the first pass is doubtful, metres."""
 _AT_ONCE = 20_000
-"""Points that are processed together, which limits memory."""
+"""Number of points processed at a time, to limit memory."""
 
 
 def weld(vertices: ArrayLike, triangles: ArrayLike) -> tuple[F64, I64]:
@@ -48,13 +48,13 @@ def weld(vertices: ArrayLike, triangles: ArrayLike) -> tuple[F64, I64]:
 
 
 def compact(vertices: F64, triangles: I64) -> tuple[F64, I64]:
-    """Returns the mesh, vertices (V, 3) and triangles (F, 3), without the vertices that no triangle uses."""
+    """Returns the mesh, vertices (V, 3) and triangles (F, 3), without unreferenced vertices."""
     used, corners = np.unique(triangles, return_inverse=True)
     return vertices[used], corners.reshape(-1, 3).astype(np.int64)
 
 
 def components(triangles: NDArray[np.integer], vertex_count: int) -> I64:
-    """Returns (F,): the number of the connected component of each triangle (F, 3); triangles with a common vertex are connected."""
+    """Returns the connected component of each triangle (F, 3), numbers (F,); triangles with a common vertex are connected."""
     if not len(triangles):
         return np.zeros(0, dtype=np.int64)
     ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
@@ -63,7 +63,7 @@ def components(triangles: NDArray[np.integer], vertex_count: int) -> I64:
 
 
 def distances(points: F64, corners: F64, rng: np.random.Generator, density: float = 500.0) -> F64:
-    """Returns the distances (N,) of points (N, 3) from triangles (F, 3, 3), metres; never too small, and exact for nearly all points.
+    """Returns the distances (N,) of points (N, 3) from triangles (F, 3, 3), metres: upper bounds, exact for nearly all points.
 
     Each point is compared with the triangles of the nearest sample points.
 
@@ -76,11 +76,11 @@ def distances(points: F64, corners: F64, rng: np.random.Generator, density: floa
     if not len(corners):
         return np.full(len(points), np.inf)
     count = int(np.clip(areas_of(corners).sum() * density, 10_000, 300_000))
-    around, owner = spread_over(corners, count, rng)
+    samples, owner = spread_over(corners, count, rng)
     # Triangles too small for a sample are represented by their centroids.
-    around = np.concatenate([around, corners.mean(axis=1)])
+    samples = np.concatenate([samples, corners.mean(axis=1)])
     owner = np.concatenate([owner, np.arange(len(corners))])
-    tree = cKDTree(around)
+    tree = cKDTree(samples)
     out = np.full(len(points), np.inf)
     doubtful = np.arange(len(points))
     for count in _NEAREST:
@@ -94,39 +94,39 @@ def distances(points: F64, corners: F64, rng: np.random.Generator, density: floa
 
 
 def smooth(vertices: F64, triangles: I64, fixed: Bools, farthest: float) -> F64:
-    """Returns the vertices (V, 3) of a scan without its noise, each moved by at most ``farthest`` metres.
+    """Smooths the noise of a scan and returns its vertices (V, 3), each moved by at most ``farthest`` metres.
 
-    Alternating signs keep the size of things: Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
+    Alternating signs prevent shrinkage: Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
 
     Args:
         vertices: (V, 3), welded, metres.
-        triangles: (F, 3), rows of ``vertices``.
-        fixed: (V,), vertices that must not move.
-        farthest: metres.
+        triangles: (F, 3), rows in ``vertices``.
+        fixed: (V,), mask of vertices that must not move.
+        farthest: largest displacement, metres.
     """
     ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     ones = np.ones(len(ends))
-    beside = sparse.coo_matrix((ones, (ends[:, 0], ends[:, 1])), shape=(len(vertices), len(vertices))).tocsr()
-    beside = beside + beside.T
-    weights = np.asarray(beside.sum(axis=1)).ravel()
+    adjacency = sparse.coo_matrix((ones, (ends[:, 0], ends[:, 1])), shape=(len(vertices), len(vertices))).tocsr()
+    adjacency = adjacency + adjacency.T
+    weights = np.asarray(adjacency.sum(axis=1)).ravel()
     moving = (~fixed & (weights > 0))[:, None]
-    mean = sparse.diags(1.0 / np.maximum(weights, 1.0)) @ beside
+    mean = sparse.diags(1.0 / np.maximum(weights, 1.0)) @ adjacency
     out = vertices
     for factor in (0.5, -0.53) * _ROUNDS:
         out = np.where(moving, out + factor * (mean @ out - out), out)
-    away = out - vertices
-    length = np.linalg.norm(away, axis=1, keepdims=True)
-    return np.asarray(vertices + away * np.minimum(1.0, farthest / np.maximum(length, 1e-12)))
+    displacement = out - vertices
+    length = np.linalg.norm(displacement, axis=1, keepdims=True)
+    return np.asarray(vertices + displacement * np.minimum(1.0, farthest / np.maximum(length, 1e-12)))
 
 
 def simplify(vertices: F64, triangles: I64, error: float, fixed: Bools) -> tuple[F64, I64]:
-    """Returns a mesh with fewer triangles, between some of the same vertices, at about ``error`` metres from the given one.
+    """Returns a mesh with fewer triangles, between some of the same vertices, within about ``error`` metres of the given one.
 
     Args:
         vertices: (V, 3), welded, metres.
-        triangles: (F, 3), rows of ``vertices``.
-        error: metres; meshoptimizer's measure is a mean over adjacent planes, so the result must be measured.
-        fixed: (V,), vertices that must stay.
+        triangles: (F, 3), rows in ``vertices``.
+        error: error limit, metres; meshoptimizer's measure is a mean over adjacent planes, so the actual error must be measured.
+        fixed: (V,), mask of vertices that must not be removed.
 
     Raises:
         MeshError: meshoptimizer is not installed.
@@ -141,10 +141,10 @@ def simplified_triangles(
 
     Args:
         vertices: (V, 3), welded, metres.
-        triangles: (F, 3), rows of ``vertices``.
-        error: metres, as for ``simplify``.
-        least: number of triangles at which it stops, approximately.
-        fixed: (V,), vertices that must stay; None = none.
+        triangles: (F, 3), rows in ``vertices``.
+        error: error limit, metres, as for ``simplify``.
+        least: approximate number of triangles at which simplification stops.
+        fixed: (V,), mask of vertices that must not be removed; None = none.
 
     Raises:
         MeshError: meshoptimizer is not installed.
@@ -164,14 +164,14 @@ def simplified_triangles(
 
 
 def _simplifier() -> Callable[..., int]:
-    """Returns meshoptimizer's function with its C types."""
+    """Returns meshoptimizer's function with its C argument types."""
     try:
         from meshoptimizer.simplifier import lib
     except ImportError as error:
         raise MeshError(
             f"scans are simplified with meshoptimizer, which cannot be loaded ({error}); pip install meshoptimizer"
         ) from error
-    # The package's wrapper declares no types, so that sizes after the sixth argument have garbage in their upper half.
+    # The package's wrapper declares no argument types: sizes beyond the sixth argument would have garbage in their upper half.
     size, pointer = ctypes.c_size_t, ctypes.c_void_p
     function: Callable[..., int] = ctypes.CFUNCTYPE(
         size, pointer, pointer, size, pointer, size, size, pointer, size, pointer, size, pointer, size, ctypes.c_float,

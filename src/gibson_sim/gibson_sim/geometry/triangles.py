@@ -1,4 +1,4 @@
-"""Areas and normals of triangles, given by their corners (F, 3, 3)."""
+"""Areas, normals and random points of triangles, given by their corners (F, 3, 3)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ def areas_of(corners: F64) -> F64:
 
 
 def unit_normals(corners: F64) -> F64:
-    """Returns the unit normals (F, 3) of triangles (F, 3, 3), on the side from which the corners are counter-clockwise; 0 without area."""
+    """Returns the unit normals (F, 3) of triangles (F, 3, 3), on the side where the corners are counter-clockwise; 0 for degenerate triangles."""
     crosses = _crosses(corners)
     lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
     return np.asarray(np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0))
 
 
 def spread_over(corners: F64, count: int, rng: np.random.Generator) -> tuple[F64, NDArray[np.int64]]:
-    """Returns ``count`` random points (N, 3) of uniform density on triangles (F, 3, 3), and the triangle of each (N,); none without area."""
+    """Samples ``count`` points (N, 3) uniformly on triangles (F, 3, 3); returns them with the index of their triangles, (N,).
+
+    Returns empty arrays if the triangles have no area.
+    """
     areas = areas_of(corners)
     if not areas.sum() > 0:
         return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
