@@ -206,7 +206,7 @@ def test_arm_follows_the_trajectories_of_an_action(actions: Any, rig: Rig, liste
         send(kind.Goal(trajectory=trajectory({"turn": 0.9}, 2.0))),
         send(kind.Goal(trajectory=trajectory({"turn": 0.5}))),
     )
-    assert result(first) == (6, -1, "another command for these joints came")
+    assert result(first) == (6, -1, "another command for these joints arrived")
     assert result(second) == (4, 0, "")
     assert result(send(kind.Goal(trajectory=trajectory({"turn": 9.0}))))[:2] == (6, -1)
     slow = send(kind.Goal(trajectory=trajectory({"turn": -0.9}, 3.0)))

@@ -133,7 +133,7 @@ def test_a_run_may_go_on_without_the_answer_of_a_participant_that_hangs(
     assert _ended(launched, listener) == 0
     found = json.loads(summary.read_text())["physics"]["lockstep"]
     assert found["participants"][NAME]["missed"] == found["timeouts"] >= 10
-    assert any("this tick goes on without it; the run cannot be repeated" in line for line in launched.lines)
+    assert any("this tick goes on without it; the run is not repeatable" in line for line in launched.lines)
 
 
 def test_a_renderer_that_is_killed_comes_back_and_draws_the_tick_that_waits(

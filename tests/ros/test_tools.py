@@ -111,7 +111,7 @@ def test_the_short_verbs_do_what_they_say() -> None:
     assert code == 1 and "did you mean 'drink'?" in text
     assert _run("delete", "drink") == (0, "deleted drink\n")
     assert [_run(*words)[1] for words in (("pause",), ("pause",), ("step", "10"), ("play",), ("reset",))] == [
-        "paused\n", "already paused\n", "made 10 steps\n", "playing\n", "reset: time, poses and spawned entities\n",
+        "paused\n", "already paused\n", "executed 10 steps\n", "playing\n", "reset: time, poses and spawned entities\n",
     ]  # fmt: skip
     code, text = _run("spawn", "bottel_water", "--at", "1,1")
     assert code == 1 and "did you mean" in text

@@ -125,7 +125,7 @@ def test_trajectory_succeeds_with_feedback_on_the_way(rig: Rig) -> None:
 def test_new_goal_and_a_reset_end_the_one_before(rig: Rig) -> None:
     first, second = (rig.accept(rig.of_arm, request("turn", at)) for at in (0.3, -0.3))
     assert (first.status, first.result.error_code, first.result.error_string) == (
-        "aborted", -1, "another command for these joints came",
+        "aborted", -1, "another command for these joints arrived",
     )  # fmt: skip
     rig.ticks(3)
     rig.arm.preempt("the simulation was reset")

@@ -139,8 +139,8 @@ class LockstepGate:
         for name in self.core.receive(topic, time.monotonic_ns()):
             self.timeouts += 1
             self._node.get_logger().warning(
-                f"lockstep: {quoted(name)} sends again on {topic}: it was slow, or waited for time to pass, and had not ended; "
-                "the run cannot be repeated to the bit"
+                f"lockstep: {quoted(name)} sends again on {topic}: it was slow, or waited for time to pass, not idle; "
+                "the run is not repeatable"
             )
 
     def reset(self) -> None:
@@ -261,7 +261,7 @@ class LockstepGate:
         self.core.skip_late(now_ns)
         self._unmatched_rules = {}
         self.timeouts += 1
-        self._node.get_logger().warning(f"{problem}: this tick goes on without it; the run cannot be repeated to the bit")
+        self._node.get_logger().warning(f"{problem}: this tick goes on without it; the run is not repeatable")
         return True
 
     def _idle_silent(self, now_ns: int) -> None:

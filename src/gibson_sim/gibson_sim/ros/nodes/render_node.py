@@ -232,17 +232,17 @@ class RenderNode(Node):
                 self._stats.count_due(self._cameras[i].camera, 0, subscribed=False)
         if drawable:
             self._latest, self._latest_since = drawable[-1], time.monotonic()
-        drawn = None
+        statistics = None
         if newest is not None and _tick_key(newest) != self._last_done:
             requested = {i: subscribed[i] for i in newest.due_cameras if i in due}
-            drawn = self._draw(newest, requested)
+            statistics = self._draw(newest, requested)
             self._served.update({self._cameras[i].camera.name: kinds for i, kinds in requested.items()})
         tick = next((state for state in reversed(drawable) if state.due_cameras), None)
         if tick is not None and self._lockstep is not None:
             self._last_done = _tick_key(tick)
             self._lockstep.tick_done(tick.header.stamp)
-        if drawn is not None:  # after the report, so that time does not wait for the statistics
-            self._stats.add(*drawn)
+        if statistics is not None:  # after the report, so that time does not wait for the statistics
+            self._stats.add(*statistics)
         if self._stats.report_is_late:
             self._publish_diagnostics()
 
@@ -264,11 +264,11 @@ class RenderNode(Node):
             if not kinds - served or needs_previous(publisher.camera) or (is_in_lockstep(self) and i not in state.due_cameras):
                 continue
             late[i] = kinds - served
-        drawn = self._draw(state, late) if late else None
+        statistics = self._draw(state, late) if late else None
         for i, kinds in late.items():
             self._served[self._cameras[i].camera.name] |= kinds
-        if drawn is not None:
-            self._stats.add(*drawn)
+        if statistics is not None:
+            self._stats.add(*statistics)
 
     def _store_mismatched(self, states: Sequence[SceneState], has_drawable: bool) -> None:
         """Stores the newest state whose scene has not arrived; warns if the scene does not arrive in time."""
@@ -300,7 +300,7 @@ class RenderNode(Node):
             The arguments of ``RenderStats.add``; None = no images.
         """
         assert self._scene is not None and self._frame_history is not None
-        stamp_ns, started = conversions.time_from_msg(msg.header.stamp), time.monotonic_ns()
+        stamp_ns, started_ns = conversions.time_from_msg(msg.header.stamp), time.monotonic_ns()
         specs = {i: spec for i, kinds in subscribed.items() if (spec := self._cameras[i].to_draw(kinds)) is not None}
         moving = [self._cameras[i].camera for i in subscribed if needs_previous(self._cameras[i].camera)]
         frames: list[Frame] = []
@@ -309,7 +309,7 @@ class RenderNode(Node):
                 state = conversions.scene_state_from_msg(msg, self._scene.links)
                 frames = self._frame_history.start(state, list(specs.values())).result()
                 self._frame_history.note(state, moving)
-                drawn = time.monotonic_ns()
+                drawn_ns = time.monotonic_ns()
                 messages = self._publish(dict(zip(specs, frames, strict=True)), subscribed, state)
         except GibsonSimError as error:
             self.get_logger().warning(f"state at {stamp_ns} ns is not drawn: {error}", throttle_duration_sec=1.0)
@@ -321,7 +321,7 @@ class RenderNode(Node):
                 self._cameras[i].publish_info(stamp_ns, kinds)
         if self._digests is not None:
             self._digests.publish(stamp_ns, msg.epoch, msg.epoch_step)
-        return (started, drawn, time.monotonic_ns(), frames, messages) if frames else None
+        return (started_ns, drawn_ns, time.monotonic_ns(), frames, messages) if frames else None
 
     def _publish(self, frames: dict[int, Frame], subscribed: dict[int, frozenset[str]], state: State) -> list[str]:
         """Publishes images; returns ``<camera>/<kind>`` of each message."""

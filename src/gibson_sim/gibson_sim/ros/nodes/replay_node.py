@@ -137,7 +137,7 @@ class ReplayNode(Node):
             while is_running() and not wait.is_met():
                 executor.spin_once(timeout_sec=0.05)
         except GibsonSimError as error:
-            self.get_logger().warning(f"{error}; the replay goes on without")
+            self.get_logger().warning(f"{error}; the replay continues without it")
 
     # Ticks
 

@@ -61,7 +61,7 @@ def play(tool: Tool) -> str:
 def step(tool: Tool, steps: int) -> str:
     """Executes physics steps of a paused simulation; returns the text to print."""
     StandardServices(tool.call).ask("step_simulation", steps=steps)
-    return f"made {steps} step{'s' * (steps != 1)}"
+    return f"executed {steps} step{'s' * (steps != 1)}"
 
 
 def reset(tool: Tool) -> str:

@@ -23,7 +23,7 @@ from gibson_sim.types import NS_PER_S
 
 FEEDBACK_NS = NS_PER_S // 20
 """Period of feedback, ns of simulation time."""
-_PREEMPTED = "another command for these joints came"
+_PREEMPTED = "another command for these joints arrived"
 
 OnApplied = Callable[[PhysicsWorld | None, str], None]
 """Called with the world and an empty text once a command was applied, or with the reason why it was not."""

@@ -185,7 +185,7 @@ class TrialNode(Node):
     # Before the first tick
 
     def _set_up(self) -> None:
-        """Spawns things and people and closes doors, while time stands still."""
+        """Spawns objects and people, and closes doors, while time stands still."""
         run = self._plan.run
         for thing in run.things:
             self._spawn_at(thing.name, thing.object, "", thing.pose, thing.z)
