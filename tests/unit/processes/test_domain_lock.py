@@ -103,5 +103,5 @@ def test_holder_of_another_user_is_named(domain_id: int, monkeypatch: pytest.Mon
 def test_process_that_squats_without_listening_is_a_refusal_and_no_crash(domain_id: int) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as squatter:
         squatter.bind(f"\0gibson-sim-domain-{domain_id}")
-        with pytest.raises(AlreadyRunningError, match="its process does not say who it is"):
+        with pytest.raises(AlreadyRunningError, match="its process cannot be identified"):
             DomainLock(domain_id)

@@ -168,7 +168,7 @@ def test_plan_through_the_map(tmp_path: Path) -> None:
     cause = sure(blamed(tmp_path, run, spec=planned(goal=(6.0, 0.2, 0.0))))
     assert (cause.kind, cause.time) == ("plan through obstacle", 0.2)
     assert (
-        "the plan led through the map at (4.00, 0.15): 0.10 m from it, with a robot of 0.20 m; 5.8 s later the robot hit wall_2"
+        "the plan led through the map at (4.00, 0.15): 0.10 m from it, with a robot radius of 0.20 m; 5.8 s later the robot hit wall_2"
         in cause.text
     )
 
@@ -386,7 +386,7 @@ def test_only_a_limit_of_quality_was_missed(tmp_path: Path) -> None:
     run = Run(odometry=lambda t: (1.0 * max(t, 0.0), 0.0, 0.0), corrections=[], commands=DRIVES_THERE)
     cause = sure(blamed(tmp_path, run, "reached", limits=scenario(max_acceleration=0.1)))
     assert cause.kind == "verdict"
-    assert cause.text == "max_acceleration: commanded velocity changed by 0.46 m/s^2, more than the most 0.1 m/s^2"
+    assert cause.text == "max_acceleration: the RMS commanded acceleration was 0.46 m/s^2, more than 0.1 m/s^2"
 
 
 def test_robot_that_stands_at_the_goal_is_not_blamed_for_standing(tmp_path: Path) -> None:

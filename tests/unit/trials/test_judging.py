@@ -107,9 +107,7 @@ def test_clearance(tmp_path: Path) -> None:
     found = verdict(result, "clearance")
     assert (found.passed, found.limit) == (False, 0.06)
     assert found.value == pytest.approx(0.05, abs=1e-6)
-    assert (
-        found.text == "the robot came as near as 0.05 m to an obstacle of the map, at (3.50, 0.30) after 5.0 s, at least 0.06 m"
-    )
+    assert found.text == "the robot came within 0.05 m of an obstacle of the map, at (3.50, 0.30) after 5.0 s, at least 0.06 m"
 
 
 def test_clearance_is_to_the_nearest_wall(tmp_path: Path) -> None:
@@ -137,7 +135,7 @@ def test_entering_a_region(tmp_path: Path) -> None:
 def test_path_ratio(tmp_path: Path) -> None:
     found = verdict(judged(tmp_path, spec=planned(shortest=4.0), path_ratio=1.2), "path_ratio")
     assert (found.passed, found.value) == (False, pytest.approx(1.25))
-    assert found.text == "5.00 m driven over 4.00 m are 1.25, more than the most 1.2"
+    assert found.text == "5.00 m driven, shortest path 4.00 m: ratio 1.25, more than 1.2"
 
 
 def test_trembling_is_no_path(tmp_path: Path) -> None:

@@ -183,7 +183,7 @@ def test_looks_become_settings_of_physics_with_a_seed_of_the_run() -> None:
     [
         ({"goals": ("4.26,1.0,0",)}, "goals is '4.26,1.0,0', in a wall, furniture or another obstacle in scene 'arena'; the nearest free"),
         ({"starts": (FIRST, "99,0,0")}, "starts[1] is '99,0,0', outside the map of scene 'arena', must be from x -0."),
-        ({"goals": ("0.1,2.2,0",)}, "goals is '0.1,2.2,0', 0.08 m from an obstacle, nearer than the radius of the robot, 0.18 m,"),
+        ({"goals": ("0.1,2.2,0",)}, "goals is '0.1,2.2,0', 0.08 m from an obstacle, closer than the radius of the robot, 0.18 m,"),
         ({"starts": ("kitchen",)}, "starts is 'kitchen', must be sampled, x,y,yaw_deg in quotes, or a named pose of scene 'arena'; known: "),
         ({"starts": ("frist",)}, "starts is 'frist', must be sampled, x,y,yaw_deg in quotes, or a named pose of scene 'arena'; did you mean"),
         ({"starts": ("1,2",)}, "starts is '1,2', must be x,y,yaw_deg: three finite numbers"),

@@ -156,7 +156,7 @@ def test_all_mistakes_of_a_file_are_told_at_once(tmp_path: Path) -> None:
         ("scenes: [arena, all]\nstack: {command: python}\n", "scenes[1] is 'all': scene 'all' is not found"),
         (LEAST + "robots: gibson_bt\n", "robots is 'gibson_bt': robot 'gibson_bt' is not found; did you mean 'gibson_bot'?"),
         (LEAST + "robots: a=gibson_bot\n", "robots is 'a=gibson_bot', must be one robot, which drives alone"),
-        (LEAST + "runs: 6000\nrobots: [gibson_bot, husky]\n", "runs is 6000, which makes 12000 runs of 1 scenes and 2 robots"),
+        (LEAST + "runs: 6000\nrobots: [gibson_bot, husky]\n", "runs is 6000, which yields 12000 runs of 1 scenes and 2 robots"),
         (LEAST + "runs: .nan\n", "runs is nan, must be a whole number from 1 to 10000"),
         (LEAST + "limits: {time: .inf}\n", "limits.time is inf, must be a number from 0.1 to 86400"),
         (LEAST + "seed: -1\n", "seed is -1, must be a whole number from 0 to"),

@@ -54,7 +54,7 @@ class DomainLock:
 def _refusal(domain_id: int, holder: tuple[int, int] | None) -> str:
     other_domain = "choose another domain with --domain-id or ROS_DOMAIN_ID"
     if holder is None:
-        return f"a simulation runs in ROS domain {domain_id} already (its process does not say who it is): {other_domain}"
+        return f"a simulation runs in ROS domain {domain_id} already (its process cannot be identified): {other_domain}"
     process_id, user_id = holder
     process = f"process {process_id}" if process_id else "a process of another container"
     if user_id == os.getuid():

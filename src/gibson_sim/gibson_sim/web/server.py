@@ -229,7 +229,7 @@ class PageServer:
 
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._pages) >= MAX_PAGES:
-            raise web.HTTPServiceUnavailable(text=f"{MAX_PAGES} pages are connected already")
+            raise web.HTTPServiceUnavailable(text=f"{MAX_PAGES} pages are already connected")
         socket = web.WebSocketResponse(heartbeat=_SILENT_S / 2, max_msg_size=MAX_BYTES, compress=False)
         try:
             await socket.prepare(request)

@@ -510,7 +510,7 @@ def _overlaps(points: F64, obstacle: Obstacles, tolerance: float, run: RunSpec, 
         x, y = (float(c) for c in points[worst])
         what = (
             f"the plan led through {name_of(run, obstacle.name)} at ({x:.2f}, {y:.2f}): {distances[worst]:.2f} m from it, "
-            f"with a robot of {run.radius:.2f} m"
+            f"with a robot radius of {run.radius:.2f} m"
         )
         result.append(_Overlap(obstacle.name, t, what, [(x, y)], float(distances[worst])))
     return result

@@ -36,7 +36,7 @@ def judge(scenario: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> R
     except (ValueError, IndexError, KeyError, AttributeError, OverflowError, MemoryError) as error:
         evidence, problem = (
             None,
-            f"bag {bag} holds values that make no sense ({type(error).__name__}: {clipped(str(error), _MAX_LENGTH)})",
+            f"bag {bag} contains invalid values ({type(error).__name__}: {clipped(str(error), _MAX_LENGTH)})",
         )
     digest = "" if evidence is None else evidence.digest
     if evidence is None or outcome.goal_ns < 0:

@@ -123,7 +123,7 @@ def _missing(name: str, what: str) -> Verdict:
 def _at_most(name: str, value: float, limit: float, unit: str, what: str) -> Verdict:
     passed, unit = value <= limit, f" {unit}" if unit else ""
     return Verdict(
-        name, passed, f"{what} {value:.2f}{unit}, {'at' if passed else 'more than the'} most {limit:g}{unit}", value, limit
+        name, passed, f"{what} {value:.2f}{unit}, {'at most' if passed else 'more than'} {limit:g}{unit}", value, limit
     )
 
 
@@ -160,7 +160,7 @@ def _clearance(limit: float, evidence: Evidence, measured: Measured) -> Verdict:
     value, passed = measured.clearance, measured.clearance >= limit
     x, y, _ = evidence.truth.at(measured.clearance_time)
     text = (
-        f"the robot came as near as {value:.2f} m to an obstacle of the map, at ({x:.2f}, {y:.2f}) after {measured.clearance_time:.1f} s, "
+        f"the robot came within {value:.2f} m of an obstacle of the map, at ({x:.2f}, {y:.2f}) after {measured.clearance_time:.1f} s, "
         f"at least {limit:g} m"
     )
     return Verdict("clearance", passed, text, value, limit)
@@ -197,7 +197,7 @@ def _path_ratio(limit: float, run: RunSpec, measured: Measured) -> Verdict:
     if run.shortest <= 0.0:
         return Verdict("path_ratio", False, "cannot be judged: the length of the shortest path is not known")
     ratio = measured.length / run.shortest
-    return _at_most("path_ratio", ratio, limit, "", f"{measured.length:.2f} m driven over {run.shortest:.2f} m are")
+    return _at_most("path_ratio", ratio, limit, "", f"{measured.length:.2f} m driven, shortest path {run.shortest:.2f} m: ratio")
 
 
 def _acceleration(limit: float, evidence: Evidence, measured: Measured) -> Verdict:
@@ -205,7 +205,7 @@ def _acceleration(limit: float, evidence: Evidence, measured: Measured) -> Verdi
         return _missing("max_acceleration", "cmd_vel")
     if measured.rms_acceleration is None:
         return Verdict("max_acceleration", False, "cannot be judged: fewer than two commands")
-    return _at_most("max_acceleration", measured.rms_acceleration, limit, "m/s^2", "commanded velocity changed by")
+    return _at_most("max_acceleration", measured.rms_acceleration, limit, "m/s^2", "the RMS commanded acceleration was")
 
 
 def _rate(topic: str, least: float, evidence: Evidence) -> Verdict:
@@ -215,7 +215,7 @@ def _rate(topic: str, least: float, evidence: Evidence) -> Verdict:
     if evidence.decided <= 0.0:
         return Verdict(name, False, "cannot be judged: no time passed after the goal")
     rate = evidence.counts[full] / evidence.decided
-    return Verdict(name, rate >= least, f"{full} had {rate:.2f} messages a second, at least {least:g}", rate, least)
+    return Verdict(name, rate >= least, f"{full} had {rate:.2f} messages per second, at least {least:g}", rate, least)
 
 
 def _alive(outcome: Outcome) -> Verdict:

@@ -163,8 +163,8 @@ class _Placer:
                 return (*place, yaw)
         raise NoRoomError(
             key,
-            f"({quoted(rule.object)}) finds no place in scene {quoted(self._site.scene_name)} that leaves for robot "
-            f"{quoted(self._site.robot_name)} of radius {self._site.robot.radius:.2f} m a path from {_text(self._places.start)} to "
+            f"({quoted(rule.object)}) finds no place in scene {quoted(self._site.scene_name)} that leaves a path for robot "
+            f"{quoted(self._site.robot_name)} of radius {self._site.robot.radius:.2f} m from {_text(self._places.start)} to "
             f"{_text(self._places.goal)}; fewer or smaller objects may fit",
         )
 
@@ -201,7 +201,7 @@ class _Placer:
         corners = shape.corners(x, y, yaw)
         cells = self._site.grid.cover(corners[None])
         if not cells.any() or (cells & ~self.floor.free).any():
-            return f"would overlap an obstacle or the outside of the map of scene {quoted(self._site.scene_name)}"
+            return f"would overlap an obstacle or lie outside the map of scene {quoted(self._site.scene_name)}"
         if self._site.swept is not None and (cells & self._site.swept).any():
             return f"would block a door that closes in scene {quoted(self._site.scene_name)}"
         for end, pose in (("start", self._places.start), ("goal", self._places.goal)):
@@ -278,7 +278,7 @@ def _across(site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: 
     raise NoRoomError(
         key,
         f"finds no place in scene {quoted(site.scene_name)} to walk across the path from {_text(places.start)} to {_text(places.goal)}; "
-        "give the person's path, or a longer way for the robot (sampling.path_length)",
+        "give the person's path, or a longer path for the robot (sampling.path_length)",
     )
 
 

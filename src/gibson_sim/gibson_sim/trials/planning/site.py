@@ -216,7 +216,7 @@ class Site:
         # A cell that an obstacle merely touches is occupied as a whole, so that the map is stricter than the simulation.
         elif self.floor.distance_to_obstacle[row, column] + self.floor.resolution * math.sqrt(0.5) < self.robot.radius:
             room = float(self.floor.distance_to_obstacle[row, column])
-            problem = f"{room:.2f} m from an obstacle, nearer than the radius of the robot, {self.robot.radius:.2f} m,"
+            problem = f"{room:.2f} m from an obstacle, closer than the radius of the robot, {self.robot.radius:.2f} m,"
         else:
             return ""
         free = self.floor.nearest_free(xy, self.robot.radius)

@@ -93,7 +93,7 @@ class _Resolver:
         runs = len(scenes) * len(robots) * scenario.runs
         if runs > MAX_RUNS:
             self._top.key("runs").note(
-                f"is {scenario.runs}, which makes {runs} runs of {len(scenes)} scenes and {len(robots)} robots, "
+                f"is {scenario.runs}, which yields {runs} runs of {len(scenes)} scenes and {len(robots)} robots, "
                 f"must be at most {MAX_RUNS} together"
             )
         return replace(
