@@ -33,10 +33,10 @@ def add_parser(subparsers: Any) -> None:
 
 def _run(args: argparse.Namespace) -> ExitCode:
     # Lazy import: the other sub-commands do not need it.
-    from gibson_sim_tools.making.objects.program import chosen, default_blender_python, make_objects
+    from gibson_sim_tools.making.objects.program import default_blender_python, make_objects, select_objects
     from gibson_sim_tools.making.objects.table import objects_table
 
-    models, output = chosen(args.only), Path(args.output)
+    models, output = select_objects(args.only), Path(args.output)
     if args.table:
         print(objects_table(models))
         return ExitCode.OK

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gibson_sim.formats.load_mesh import load_mesh
-from gibson_sim_tools.making.blender.casters import caster
+from gibson_sim_tools.making.blender.casters import shadow_caster
 from gibson_sim_tools.making.blender.openings import door_frame, window
-from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, facing, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, facing_sides, pose_matrix
 from gibson_sim_tools.making.blender.stairs import slab_edges, stair
 from gibson_sim_tools.making.building import Body, Building, Opening, Room, Stair, Start, Storey, Wall
 from gibson_sim_tools.making.glb import BakedMaterial, Patch, write_boxes, write_glb
@@ -36,8 +36,8 @@ def _bounds(builder: ObjectBuilder) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_large_bodies_cast_a_shadow_where_they_stand_and_small_ones_none() -> None:
-    assert caster(Body("m", "mug", (0.0, 0.0, 0.0))) is None
-    fridge = caster(Body("f", "fridge_body", (2.0, 1.0, 0.0), math.pi / 2))
+    assert shadow_caster(Body("m", "mug", (0.0, 0.0, 0.0))) is None
+    fridge = shadow_caster(Body("f", "fridge_body", (2.0, 1.0, 0.0), math.pi / 2))
     assert fridge is not None
     low, high = _bounds(fridge)
     # x from -0.34 to 0.31 of the fridge is y, from 0.66 to 1.31.
@@ -88,14 +88,14 @@ def test_steps_rise_evenly_to_the_floor_above() -> None:
 def test_a_turned_box_is_where_it_was_put() -> None:
     s = _builder()
     s.box((0, 0, 0), (2, 1, 1), Surface("wood_oak"), bevel=0.0)
-    s.turned(0, placed((10.0, 0.0, 0.0), yaw=math.pi / 2))
+    s.transform(0, pose_matrix((10.0, 0.0, 0.0), yaw=math.pi / 2))
     low, high = _bounds(s)
     assert low == pytest.approx([9.0, 0.0, 0.0]) and high == pytest.approx([10.0, 2.0, 1.0])
 
 
 def test_sides_are_numbered_by_axis_and_sign() -> None:
     up = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], dtype=float)
-    assert facing(np.concatenate([up, up[:, ::-1], up[:, :, [1, 2, 0]]])).tolist() == [4, 5, 2]
+    assert facing_sides(np.concatenate([up, up[:, ::-1], up[:, :, [1, 2, 0]]])).tolist() == [4, 5, 2]
 
 
 def test_quantised_positions_are_exact_to_a_65535th(tmp_path: Path) -> None:

@@ -22,15 +22,15 @@ from gibson_sim_tools.making.objects.model import (
     ObjectLink,
     ObjectModel,
     Primitive,
-    ball,
     box,
+    cylinder,
     mass_properties,
+    resting_sphere,
     ring_wall,
     rotation,
-    upright,
 )
 from gibson_sim_tools.making.objects.pictures import PICTURES, noise
-from gibson_sim_tools.making.objects.program import chosen, make_objects
+from gibson_sim_tools.making.objects.program import make_objects, select_objects
 from gibson_sim_tools.making.objects.table import objects_table
 from gibson_sim_tools.making.objects.urdf import mesh_name, object_urdf
 
@@ -59,9 +59,9 @@ def test_a_box_has_the_inertia_of_the_textbook() -> None:
 
 
 def test_a_cylinder_and_a_ball_have_the_inertia_of_the_textbook() -> None:
-    mass = mass_properties(ObjectLink("a", 2.0, (upright(0.5, 0.0, 3.0),)))
+    mass = mass_properties(ObjectLink("a", 2.0, (cylinder(0.5, 0.0, 3.0),)))
     np.testing.assert_allclose(mass.inertia, np.diag([1.625, 1.625, 0.25]), atol=1e-12)
-    np.testing.assert_allclose(mass_properties(ObjectLink("a", 5.0, (ball(0.5),))).inertia, np.eye(3) * 0.5, atol=1e-12)
+    np.testing.assert_allclose(mass_properties(ObjectLink("a", 5.0, (resting_sphere(0.5),))).inertia, np.eye(3) * 0.5, atol=1e-12)
 
 
 def test_two_solids_share_the_mass_by_their_volume_about_a_common_centre() -> None:
@@ -174,9 +174,9 @@ def test_the_table_in_the_docs_is_the_one_that_the_command_prints(root: Path) ->
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(GibsonSimError, match=r"no object 'mugg'; known: bottle_water, "):
-        chosen(["mugg"])
-    assert [one.name for one in chosen(["mug", "cup"])] == ["cup", "mug"]
+    with pytest.raises(GibsonSimError, match=r"object 'mugg' is unknown; known: bottle_water, "):
+        select_objects(["mugg"])
+    assert [one.name for one in select_objects(["mug", "cup"])] == ["cup", "mug"]
 
 
 def test_a_python_that_is_not_there_or_has_no_blender_is_said_in_one_line(

@@ -19,12 +19,12 @@ from gibson_sim.render.draw.environment import irradiance, load_environment
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools import package_path
 from gibson_sim_tools.making.baking import check_blender
+from gibson_sim_tools.making.blender.appearances import APPEARANCES
 from gibson_sim_tools.making.blender.assembly import assemble
 from gibson_sim_tools.making.blender.charts import BORDER_PX, place_charts
 from gibson_sim_tools.making.blender.furniture.catalogue import BUILDERS, build_piece
-from gibson_sim_tools.making.blender.looks import LOOKS
 from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface
-from gibson_sim_tools.making.blender.shell import build_shell, widened
+from gibson_sim_tools.making.blender.shell import build_shell, offset_polygon
 from gibson_sim_tools.making.building import MATERIALS, Body, Building, Lamp, Opening, Piece, Room, Start, Storey, Wall
 from gibson_sim_tools.making.building_file import QUALITIES, Quality, read_plan, write_plan
 from gibson_sim_tools.making.catalogue import CATALOGUE
@@ -78,7 +78,7 @@ def test_a_piece_fills_its_size_and_no_more(kind: str) -> None:
 
 def test_every_kind_of_the_catalogue_and_every_material_can_be_made() -> None:
     assert set(BUILDERS) == set(CATALOGUE)
-    assert set(MATERIALS) <= set(LOOKS)
+    assert set(MATERIALS) <= set(APPEARANCES)
 
 
 def test_the_same_seed_gives_the_same_piece_and_another_gives_another() -> None:
@@ -198,7 +198,7 @@ def test_what_is_baked_on_an_upper_floor_is_not_covered_by_the_lid_of_the_lower(
 def test_the_boxes_of_a_floor_with_six_corners_reach_below_its_walls_all_around() -> None:
     corners = np.array([(0, 0), (4, 0), (4, 2), (2, 2), (2, 3), (0, 3)], dtype=float)
     expected = [(-0.1, -0.1), (4.1, -0.1), (4.1, 2.1), (2.1, 2.1), (2.1, 3.1), (-0.1, 3.1)]
-    np.testing.assert_allclose(widened(corners, 0.1), expected)
+    np.testing.assert_allclose(offset_polygon(corners, 0.1), expected)
 
 
 def test_a_doubled_image_keeps_its_mean_and_its_place() -> None:

@@ -1,5 +1,5 @@
-"""Turns the plan of a building into triangles with textures, their light baked in. Runs in a Python that has Blender (``bpy``), in a process of
-its own.
+"""Converts the plan of a building to textured triangles with baked light. Runs in a separate process, in a Python interpreter with Blender
+(``bpy``).
 
-``shapes``, ``furniture``, ``shell`` and ``charts`` need NumPy alone; ``materials`` and ``bake`` alone import ``bpy``.
+``shapes``, ``furniture``, ``shell`` and ``charts`` need only NumPy; ``materials``, ``nodes``, ``bake`` and ``mirrors`` are for Blender.
 """

@@ -1,4 +1,4 @@
-"""Assembles a building: one table of triangles with materials and atlas coordinates. NumPy only."""
+"""Assembles a building: a table of triangles with patterns and atlas coordinates. NumPy only."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.making.blender.casters import caster
+from gibson_sim_tools.making.blender.appearances import UNTEXTURED
+from gibson_sim_tools.making.blender.casters import shadow_caster
 from gibson_sim_tools.making.blender.charts import chart_extents, place_charts, place_corners
 from gibson_sim_tools.making.blender.furniture.catalogue import build_piece
-from gibson_sim_tools.making.blender.looks import UNTEXTURED
-from gibson_sim_tools.making.blender.shapes import F64, I64, placed
+from gibson_sim_tools.making.blender.shapes import F64, I64, pose_matrix
 from gibson_sim_tools.making.blender.shell import ShellObject, build_shell
 from gibson_sim_tools.making.building import Building
 from gibson_sim_tools.making.catalogue import CATALOGUE
@@ -25,36 +25,38 @@ class Assembly:
     """All triangles of a building."""
 
     names: list[str]
+    """Name of each object."""
     classes: list[str]
+    """Semantic class of each object."""
     exported: list[bool]
-    """Whether each object is in the scene."""
+    """Whether each object is part of the scene."""
     patterns: list[str]
-    """Pattern names."""
+    """Names of the patterns."""
     corners: F64
-    """(F, 3, 3): positions of the corners, world, metres."""
+    """Corners of the triangles, (F, 3, 3), m, world frame."""
     owner: I64
-    """(F,): index of the object."""
+    """Index of the object of each triangle, (F,)."""
     pattern: I64
-    """(F,): index of the pattern."""
+    """Index of the pattern of each triangle, (F,)."""
     tint: F64
-    """(F, 3): sRGB."""
-    place: F64
-    """(F, 3, 3): pattern coordinates."""
+    """Colour of each triangle, (F, 3), sRGB."""
+    pattern_coords: F64
+    """Pattern coordinates of the corners, (F, 3, 3), m."""
     atlas: I64
-    """(F,): index of the atlas, or ``NO_ATLAS``."""
+    """Index of the atlas of each triangle, or ``NO_ATLAS``, (F,)."""
     uv: F64
-    """(F, 3, 2): 0 to 1, from the lower left of the atlas."""
+    """Atlas coordinates of the corners, (F, 3, 2), 0 to 1 from the lower left."""
     boxes: F64
-    """(B, 2, 3): low and high corners of the collision shapes, world."""
+    """Lower and upper corners of the collision boxes, (B, 2, 3), m, world frame."""
     box_owner: I64
-    """(B,)."""
+    """Index of the object of each collision box, (B,)."""
     charts: F64
-    """(C, 5): index of the atlas, low corner and size of each chart, pixels."""
+    """Index of the atlas, lower corner and size (pixels) of each chart, (C, 5)."""
     density: float
-    """Pixels per metre."""
+    """Texel density, pixels per metre."""
 
     def save(self, path: Path) -> None:
-        """Writes everything but the pattern coordinates, for a process without Blender."""
+        """Writes everything except the pattern coordinates, for a process without Blender."""
         np.savez_compressed(
             path, names=self.names, classes=self.classes, exported=self.exported, corners=self.corners.astype(np.float32),
             owner=self.owner, tint=self.tint.astype(np.float32), atlas=self.atlas, uv=self.uv.astype(np.float32),
@@ -62,23 +64,23 @@ class Assembly:
         )  # fmt: skip
 
 
-def things_of(building: Building) -> list[ShellObject]:
-    """Returns the objects of shell and furniture, in world coordinates."""
-    things = build_shell(building)
+def objects_of(building: Building) -> list[ShellObject]:
+    """Returns the objects of shell and furniture, and shadow casters, in the world frame."""
+    objects = build_shell(building)
     for piece in building.pieces:
         solid = build_piece(piece.kind, piece.size, piece.seed, building.seed)
-        matrix = placed(piece.position, piece.yaw)
-        solid.turned(0, matrix)
-        solid.boxes = [_turned_box(matrix, low, high) for low, high in solid.boxes]
-        things.append(ShellObject(piece.name, CATALOGUE[piece.kind].semantic_class, solid))
+        matrix = pose_matrix(piece.position, piece.yaw)
+        solid.transform(0, matrix)
+        solid.boxes = [_rotated_box_bounds(matrix, low, high) for low, high in solid.boxes]
+        objects.append(ShellObject(piece.name, CATALOGUE[piece.kind].semantic_class, solid))
     for body in building.bodies:
-        shadow = caster(body)
+        shadow = shadow_caster(body)
         if shadow is not None:
-            things.append(ShellObject(f"shadow_{body.name}", "", shadow, exported=False))
-    return things
+            objects.append(ShellObject(f"shadow_{body.name}", "", shadow, exported=False))
+    return objects
 
 
-def _turned_box(matrix: F64, low: F64, high: F64) -> tuple[F64, F64]:
+def _rotated_box_bounds(matrix: F64, low: F64, high: F64) -> tuple[F64, F64]:
     """Returns the axis-aligned bounding box of a rotated box."""
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     moved = corners @ matrix[:3, :3].T + matrix[:3, 3]
@@ -86,15 +88,15 @@ def _turned_box(matrix: F64, low: F64, high: F64) -> tuple[F64, F64]:
 
 
 def assemble(building: Building, atlases: int, size_px: int) -> Assembly:
-    """Returns all triangles of a building, placed in its atlases."""
-    things = things_of(building)
+    """Models a building and places its triangles in atlases."""
+    objects = objects_of(building)
     rows: dict[str, list[NDArray[np.generic]]] = {
-        k: [] for k in ("corners", "owner", "pattern", "tint", "place", "uv", "chart", "importance")
+        k: [] for k in ("corners", "owner", "pattern", "tint", "pattern_coords", "uv", "chart", "importance")
     }
     patterns: list[str] = []
     charts = 0
-    for number, thing in enumerate(things):
-        for part in thing.solid.parts:
+    for number, item in enumerate(objects):
+        for part in item.solid.parts:
             if part.surface.material not in patterns:
                 patterns.append(part.surface.material)
             count = len(part.triangles)
@@ -103,25 +105,25 @@ def assemble(building: Building, atlases: int, size_px: int) -> Assembly:
             rows["owner"].append(np.full(count, number))
             rows["pattern"].append(np.full(count, patterns.index(part.surface.material)))
             rows["tint"].append(np.tile(part.surface.tint, (count, 1)))
-            rows["place"].append(part.pattern)
+            rows["pattern_coords"].append(part.pattern)
             rows["uv"].append(part.uv)
             rows["chart"].append(np.asarray(chart).reshape(-1) + charts)
             rows["importance"].append(part.importance)
             charts += int(chart.max()) + 1
     table = {k: np.concatenate(v) for k, v in rows.items()}
-    bare = [patterns.index(p) for p in (*UNTEXTURED, "outside") if p in patterns]
-    hidden = np.array([not t.exported for t in things])[table["owner"]]
-    textured = ~np.isin(table["pattern"], bare) & ~hidden
-    atlas, uv, placed_charts, density = _place(table, textured, atlases, size_px)
-    boxes = [(low, high) for t in things for low, high in t.solid.boxes]
+    untextured = [patterns.index(p) for p in (*UNTEXTURED, "outside") if p in patterns]
+    is_blocker = np.array([not t.exported for t in objects])[table["owner"]]
+    textured = ~np.isin(table["pattern"], untextured) & ~is_blocker
+    atlas, uv, placed_charts, density = _place_in_atlases(table, textured, atlases, size_px)
+    boxes = [(low, high) for t in objects for low, high in t.solid.boxes]
     return Assembly(
-        [t.name for t in things], [t.semantic_class for t in things], [t.exported for t in things], patterns,
-        table["corners"], table["owner"], table["pattern"], table["tint"], table["place"], atlas, uv,
-        np.array(boxes), np.array([k for k, t in enumerate(things) for _ in t.solid.boxes]), placed_charts, density,
+        [t.name for t in objects], [t.semantic_class for t in objects], [t.exported for t in objects], patterns,
+        table["corners"], table["owner"], table["pattern"], table["tint"], table["pattern_coords"], atlas, uv,
+        np.array(boxes), np.array([k for k, t in enumerate(objects) for _ in t.solid.boxes]), placed_charts, density,
     )  # fmt: skip
 
 
-def _place(
+def _place_in_atlases(
     table: dict[str, NDArray[np.generic]], textured: NDArray[np.bool_], atlases: int, size_px: int
 ) -> tuple[I64, F64, F64, float]:
     chart = np.asarray(np.unique(table["chart"][textured], return_inverse=True)[1]).reshape(-1)

@@ -1,10 +1,10 @@
-"""Boxes that cast the shadows of large movable bodies in the bake, without being part of it. NumPy only."""
+"""Boxes that cast the shadows of large movable bodies in the bake, but are not part of the scene. NumPy only."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, pose_matrix
 from gibson_sim_tools.making.building import Body
 
 _Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -21,16 +21,16 @@ _CASTERS: dict[str, tuple[_Box, ...]] = {
     "bin_waste": (((-0.1, -0.1, 0.0), (0.1, 0.1, 0.32)),),
     "ball": (((-0.06, -0.06, 0.02), (0.06, 0.06, 0.2)),),
 }
-"""Boxes of models of ``scenes/objects``: low and high corners, metres."""
+"""Lower and upper corners of the boxes for models of ``scenes/objects``, m."""
 
 
-def caster(body: Body) -> ObjectBuilder | None:
-    """Returns the shadow caster of a body, world frame; None for small bodies."""
+def shadow_caster(body: Body) -> ObjectBuilder | None:
+    """Returns the shadow caster of a body, in the world frame; None for small bodies."""
     boxes = _CASTERS.get(body.model)
     if boxes is None:
         return None
     solid = ObjectBuilder(np.random.default_rng(0))
     for low, high in boxes:
         solid.box(low, high, Surface("outside", (0.5, 0.5, 0.5)), 0)
-    solid.turned(0, placed(body.position, body.yaw))
+    solid.transform(0, pose_matrix(body.position, body.yaw))
     return solid

@@ -1,4 +1,4 @@
-"""Denoises baked light with Open Image Denoise, whose library comes with Blender."""
+"""Denoises baked light with Open Image Denoise, which is part of Blender."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _CPU, _FLOAT3 = 1, 3
 _NAMES = ("libOpenImageDenoise.so*", "libOpenImageDenoise*.dylib", "OpenImageDenoise.dll")
 
 
-def denoised(image: F32) -> F32:
-    """Returns a denoised image (H, W, 3) of linear light; unchanged if the library is missing.
+def denoise(image: F32) -> F32:
+    """Denoises an image of linear light, (H, W, 3); returns it unchanged if the library is missing or fails.
 
-    The functions are those of https://www.openimagedenoise.org/documentation.html (C99 API).
+    See https://www.openimagedenoise.org/documentation.html (C99 API).
     """
     library = _library()
     if library is None:
@@ -26,17 +26,17 @@ def denoised(image: F32) -> F32:
     result = np.empty_like(source)
     device = library.oidnNewDevice(_CPU)
     library.oidnCommitDevice(device)
-    work = library.oidnNewFilter(device, b"RT")
+    denoiser = library.oidnNewFilter(device, b"RT")
     for name, array in ((b"color", source), (b"output", result)):
         height, width = array.shape[:2]
-        library.oidnSetSharedFilterImage(work, name, array.ctypes.data, _FLOAT3, width, height, 0, 0, 0)
-    library.oidnSetFilterBool(work, b"hdr", True)
-    library.oidnCommitFilter(work)
-    library.oidnExecuteFilter(work)
-    failed = library.oidnGetDeviceError(device, None) != 0
-    library.oidnReleaseFilter(work)
+        library.oidnSetSharedFilterImage(denoiser, name, array.ctypes.data, _FLOAT3, width, height, 0, 0, 0)
+    library.oidnSetFilterBool(denoiser, b"hdr", True)
+    library.oidnCommitFilter(denoiser)
+    library.oidnExecuteFilter(denoiser)
+    has_failed = library.oidnGetDeviceError(device, None) != 0
+    library.oidnReleaseFilter(denoiser)
     library.oidnReleaseDevice(device)
-    return source if failed else result
+    return source if has_failed else result
 
 
 def _library() -> ctypes.CDLL | None:

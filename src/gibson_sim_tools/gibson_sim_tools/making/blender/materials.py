@@ -1,4 +1,4 @@
-"""Patterns as Cycles materials. Each reads the attributes ``tint`` (colour) and ``place`` (metres; x along the grain or the wall, y up it)."""
+"""Builds patterns as Cycles materials. They read the mesh attributes ``tint`` (colour) and ``place`` (m; x along grain or wall, y up)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _GLOW = 6.0
 
 
 def make_material(pattern: str) -> tuple[Any, Any]:
-    """Returns the material of a pattern and its image node, the target of the bake."""
+    """Builds the material of a pattern; returns it and its image node, the target of the bake."""
     material = bpy.data.materials.new(pattern)
     material.use_nodes = True
     graph = Graph(material)
@@ -25,7 +25,7 @@ def make_material(pattern: str) -> tuple[Any, Any]:
 
 def _speckled(g: Graph, color: Socket, scale: float, amount: float, detail: float = 2.0) -> Socket:
     """Adds speckles to a colour."""
-    return g.times(color, g.between(g.noise(g.place, scale, detail), 0.25, 0.75, 1 - amount, 1 + amount))
+    return g.scale_color(color, g.map_range(g.noise(g.coords, scale, detail), 0.25, 0.75, 1 - amount, 1 + amount))
 
 
 def _plain(g: Graph) -> Socket:
@@ -33,10 +33,10 @@ def _plain(g: Graph) -> Socket:
 
 
 def _screen(g: Graph) -> Socket:
-    """Black glass with a faint reflection of the room."""
-    x, y, _ = g.parts(g.place)
+    """Returns black glass with a faint reflection of the room."""
+    x, y, _ = g.parts(g.coords)
     sheen = g.noise(g.vector(g.math("MULTIPLY", g.math("ADD", x, y), 0.7), 0.0, 0.0), 1.0, 1.0)
-    return g.mix(g.between(sheen, 0.35, 0.7), g.tint, (0.012, 0.013, 0.015))
+    return g.mix(g.map_range(sheen, 0.35, 0.7), g.tint, (0.012, 0.013, 0.015))
 
 
 def _plaster(g: Graph) -> Socket:
@@ -48,25 +48,25 @@ def _concrete(g: Graph) -> Socket:
 
 
 def _bricks(g: Graph) -> Socket:
-    number, joint = g.bricks(g.place, 0.25, 0.077, 0.006)
-    stone = g.times(g.tint, g.between(number, 0.0, 1.0, 0.72, 1.15))
+    number, joint = g.bricks(g.coords, 0.25, 0.077, 0.006)
+    stone = g.scale_color(g.tint, g.map_range(number, 0.0, 1.0, 0.72, 1.15))
     return g.mix(joint, _speckled(g, stone, 35.0, 0.16, 4.0), _speckled(g, (0.56, 0.53, 0.48), 120.0, 0.1))
 
 
 def _tiles(width: float, height: float, offset: float, variation: float, gap: float = 0.0025) -> Callable[[Graph], Socket]:
     def tiles(g: Graph) -> Socket:
-        number, joint = g.bricks(g.place, width, height, gap, offset)
-        tile = g.times(g.tint, g.between(number, 0.0, 1.0, 1 - variation, 1 + 0.4 * variation))
-        return g.mix(joint, _speckled(g, tile, 4.0, 0.03, 5.0), g.times(g.tint, 0.58))
+        number, joint = g.bricks(g.coords, width, height, gap, offset)
+        tile = g.scale_color(g.tint, g.map_range(number, 0.0, 1.0, 1 - variation, 1 + 0.4 * variation))
+        return g.mix(joint, _speckled(g, tile, 4.0, 0.03, 5.0), g.scale_color(g.tint, 0.58))
 
     return tiles
 
 
 def _checker(g: Graph) -> Socket:
-    x, y, _ = g.parts(g.place)
+    x, y, _ = g.parts(g.coords)
     cells = g.math("ADD", g.math("FLOOR", g.math("DIVIDE", x, 0.3)), g.math("FLOOR", g.math("DIVIDE", y, 0.3)))
     dark = g.math("MODULO", g.math("ABSOLUTE", cells), 2.0)
-    _, joint = g.bricks(g.place, 0.3, 0.3, 0.0025, 0.0)
+    _, joint = g.bricks(g.coords, 0.3, 0.3, 0.0025, 0.0)
     tile = g.mix(dark, g.tint, (0.05, 0.055, 0.06))
     return g.mix(joint, _speckled(g, tile, 4.0, 0.04), (0.35, 0.34, 0.32))
 
@@ -75,29 +75,31 @@ def _grain(g: Graph, vector: Socket, color: Socket, strength: float = 1.0) -> So
     """Returns a colour with wood grain along x."""
     rings = g.noise(g.scaled(vector, (0.9, 14.0, 14.0)), 1.0, 3.0, 1.2)
     fibres = g.noise(g.scaled(vector, (6.0, 170.0, 170.0)), 1.0, 2.0)
-    first = g.times(color, g.between(rings, 0.3, 0.7, 1 - 0.26 * strength, 1 + 0.16 * strength))
-    return g.times(first, g.between(fibres, 0.25, 0.75, 1 - 0.12 * strength, 1 + 0.08 * strength))
+    first = g.scale_color(color, g.map_range(rings, 0.3, 0.7, 1 - 0.26 * strength, 1 + 0.16 * strength))
+    return g.scale_color(first, g.map_range(fibres, 0.25, 0.75, 1 - 0.12 * strength, 1 + 0.08 * strength))
 
 
 def _wood(g: Graph) -> Socket:
-    return _grain(g, g.place, g.tint)
+    return _grain(g, g.coords, g.tint)
 
 
 def _planks(length: float, width: float, offset: float, variation: float) -> Callable[[Graph], Socket]:
     def planks(g: Graph) -> Socket:
-        number, joint = g.bricks(g.place, length, width, 0.0016, offset)
-        shift = g.vector(g.math("MULTIPLY", number, 37.0), g.math("MULTIPLY", number, 11.0), g.math("MULTIPLY", number, 53.0))
-        moved = g.scaled(g.place, (1.0, 1.0, 1.0), shift)
-        tone = g.times(g.tint, g.between(number, 0.0, 1.0, 1 - variation, 1 + variation * 0.7))
-        return g.mix(g.math("MULTIPLY", joint, 0.8), _grain(g, moved, tone, 0.9), g.times(g.tint, 0.2))
+        brick_number, joint = g.bricks(g.coords, length, width, 0.0016, offset)
+        shift = g.vector(
+            g.math("MULTIPLY", brick_number, 37.0), g.math("MULTIPLY", brick_number, 11.0), g.math("MULTIPLY", brick_number, 53.0)
+        )
+        shifted = g.scaled(g.coords, (1.0, 1.0, 1.0), shift)
+        tone = g.scale_color(g.tint, g.map_range(brick_number, 0.0, 1.0, 1 - variation, 1 + variation * 0.7))
+        return g.mix(g.math("MULTIPLY", joint, 0.8), _grain(g, shifted, tone, 0.9), g.scale_color(g.tint, 0.2))
 
     return planks
 
 
 def _stripes(g: Graph) -> Socket:
-    x, _, _ = g.parts(g.place)
+    x, _, _ = g.parts(g.coords)
     band = g.math("GREATER_THAN", g.math("FRACT", g.math("DIVIDE", x, 0.12)), 0.5)
-    return _speckled(g, g.times(g.tint, g.between(band, 0.0, 1.0, 0.92, 1.04)), 120.0, 0.02)
+    return _speckled(g, g.scale_color(g.tint, g.map_range(band, 0.0, 1.0, 0.92, 1.04)), 120.0, 0.02)
 
 
 def _carpet(g: Graph) -> Socket:
@@ -109,27 +111,27 @@ def _fabric(g: Graph) -> Socket:
 
 
 def _cloth_stripes(g: Graph) -> Socket:
-    _, y, _ = g.parts(g.place)
+    _, y, _ = g.parts(g.coords)
     band = g.math("GREATER_THAN", g.math("FRACT", g.math("DIVIDE", y, 0.09)), 0.66)
     return _speckled(g, g.mix(band, g.tint, (0.10, 0.16, 0.26)), 190.0, 0.14)
 
 
 def _leather(g: Graph) -> Socket:
-    distance, _ = g.cells(g.place, 160.0)
-    return g.times(_speckled(g, g.tint, 6.0, 0.14, 4.0), g.between(distance, 0.0, 0.6, 1.08, 0.86))
+    distance, _ = g.cells(g.coords, 160.0)
+    return g.scale_color(_speckled(g, g.tint, 6.0, 0.14, 4.0), g.map_range(distance, 0.0, 0.6, 1.08, 0.86))
 
 
 def _marble(g: Graph) -> Socket:
-    waves = g.noise(g.place, 1.6, 7.0, 1.4)
-    vein = g.between(g.math("ABSOLUTE", g.math("SUBTRACT", waves, 0.5)), 0.0, 0.035, 1.0, 0.0)
+    waves = g.noise(g.coords, 1.6, 7.0, 1.4)
+    vein = g.map_range(g.math("ABSOLUTE", g.math("SUBTRACT", waves, 0.5)), 0.0, 0.035, 1.0, 0.0)
     return g.mix(g.math("MULTIPLY", vein, 0.45), _speckled(g, g.tint, 2.0, 0.05, 5.0), (0.30, 0.30, 0.31))
 
 
 def _terrazzo(g: Graph) -> Socket:
-    distance, color = g.cells(g.place, 55.0)
+    distance, color = g.cells(g.coords, 55.0)
     number, hue, _ = g.parts(color)
     chip = g.math("MULTIPLY", g.math("LESS_THAN", distance, 0.34), g.math("GREATER_THAN", number, 0.45))
-    stone = g.mix(hue, g.times(g.tint, 0.45), g.times(g.tint, 1.15))
+    stone = g.mix(hue, g.scale_color(g.tint, 0.45), g.scale_color(g.tint, 1.15))
     return g.mix(chip, _speckled(g, g.tint, 90.0, 0.05), stone)
 
 
@@ -138,7 +140,7 @@ def _leaves(g: Graph) -> Socket:
 
 
 def _rug(g: Graph) -> Socket:
-    x, y, number = g.parts(g.place)
+    x, y, number = g.parts(g.coords)
     ax, ay = g.math("ABSOLUTE", x), g.math("ABSOLUTE", y)
     edge = g.math("MAXIMUM", ax, ay)
     border = g.math("MULTIPLY", g.math("GREATER_THAN", edge, 0.86), g.math("LESS_THAN", edge, 0.93))
@@ -150,17 +152,17 @@ def _rug(g: Graph) -> Socket:
         g.math("LESS_THAN", edge, 0.80),
         g.math("GREATER_THAN", g.math("FRACT", g.math("MULTIPLY", diamonds, 3.0)), 0.62),
     )
-    wanted = g.math("GREATER_THAN", number, 0.5)
-    mark = g.math("MAXIMUM", border, g.math("MULTIPLY", inner, wanted))
-    worn = g.noise(g.place, 5.0, 4.0)
-    color = g.mix(g.math("MULTIPLY", mark, g.between(worn, 0.3, 0.6, 0.5, 0.9)), g.tint, (0.62, 0.56, 0.46))
-    fine = g.noise(g.place, 220.0, 2.0)
-    return g.times(color, g.between(fine, 0.25, 0.75, 0.84, 1.12))
+    has_diamonds = g.math("GREATER_THAN", number, 0.5)
+    ornament = g.math("MAXIMUM", border, g.math("MULTIPLY", inner, has_diamonds))
+    wear = g.noise(g.coords, 5.0, 4.0)
+    color = g.mix(g.math("MULTIPLY", ornament, g.map_range(wear, 0.3, 0.6, 0.5, 0.9)), g.tint, (0.62, 0.56, 0.46))
+    fine = g.noise(g.coords, 220.0, 2.0)
+    return g.scale_color(color, g.map_range(fine, 0.25, 0.75, 0.84, 1.12))
 
 
 def _art(g: Graph) -> Socket:
-    """Layers of hills, or fields of colour, in four tones."""
-    x, y, number = g.parts(g.place)
+    """Returns an abstract picture: layers of hills, or fields of colour."""
+    x, y, number = g.parts(g.coords)
     kind = g.math("GREATER_THAN", g.math("FRACT", g.math("MULTIPLY", number, 0.37)), 0.45)
     hills = g.math(
         "ADD",
@@ -169,11 +171,11 @@ def _art(g: Graph) -> Socket:
     )
     fields = g.noise(g.vector(x, y, number), 1.1, 0.5, 2.2)
     level = g.math(
-        "ADD", g.math("MULTIPLY", kind, hills), g.math("MULTIPLY", g.math("SUBTRACT", 1.0, kind), g.between(fields, 0.3, 0.7))
+        "ADD", g.math("MULTIPLY", kind, hills), g.math("MULTIPLY", g.math("SUBTRACT", 1.0, kind), g.map_range(fields, 0.3, 0.7))
     )
     tones = g.ramp(level, [(0.03, 0.05, 0.08), (0.13, 0.20, 0.24), (0.50, 0.24, 0.14), (0.72, 0.52, 0.30), (0.78, 0.74, 0.66)])
-    paint = g.mix(0.45, tones, g.times(g.tint, g.between(level, 0.0, 1.0, 0.25, 1.3)))
-    return g.times(paint, g.between(g.noise(g.place, 22.0, 5.0), 0.25, 0.75, 0.86, 1.1))
+    paint = g.mix(0.45, tones, g.scale_color(g.tint, g.map_range(level, 0.0, 1.0, 0.25, 1.3)))
+    return g.scale_color(paint, g.map_range(g.noise(g.coords, 22.0, 5.0), 0.25, 0.75, 0.86, 1.1))
 
 
 PATTERNS: dict[str, Callable[[Graph], Socket]] = {

@@ -1,4 +1,4 @@
-"""Renders the reflections of mirrors, from one viewpoint in front of each."""
+"""Renders the reflections in mirrors, each from one viewpoint in front of it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import mathutils
 import numpy as np
 
 from gibson_sim_tools.making.blender.assembly import Assembly
-from gibson_sim_tools.making.blender.denoise import F32, denoised
+from gibson_sim_tools.making.blender.denoise import F32, denoise
 from gibson_sim_tools.making.blender.shapes import F64
 
 _DISTANCE = 1.5
-"""Distance of the viewpoint from the mirror, metres."""
-_LONG_PX = 384
-_OUTSIDE = 3.0
+"""Distance of the viewpoint from the mirror, m."""
+_LONG_SIDE_PX = 384
+"""Longer side of a reflection, pixels."""
+_SKY_RADIANCE = 3.0
 """Radiance of the sky behind windows."""
 
 
@@ -27,32 +28,33 @@ class Mirror:
     """A rectangular mirror."""
 
     corners: F64
-    """(4, 3): lower left, lower right, upper right, upper left, seen from its front; world."""
+    """Lower left, lower right, upper right, upper left corner, seen from the front, (4, 3), m, world frame."""
     uv: F64
-    """(4, 2): atlas coordinates of the corners."""
+    """Atlas coordinates of the corners, (4, 2), 0 to 1."""
     atlas: int
+    """Index of the atlas."""
 
 
 def mirrors_of(assembly: Assembly) -> list[Mirror]:
-    """Returns the mirrors of a building, each of two triangles that begin at the lower left."""
+    """Returns the mirrors of a building; each consists of two triangles that start at the lower left."""
     if "mirror" not in assembly.patterns:
         return []
     rows = np.flatnonzero(assembly.pattern == assembly.patterns.index("mirror"))
-    found = []
+    mirrors = []
     for first, second in rows.reshape(-1, 2):
         corners = np.concatenate([assembly.corners[first], assembly.corners[second][2:]])
         uv = np.concatenate([assembly.uv[first], assembly.uv[second][2:]])
-        found.append(Mirror(corners, uv, int(assembly.atlas[first])))
-    return found
+        mirrors.append(Mirror(corners, uv, int(assembly.atlas[first])))
+    return mirrors
 
 
 def reflection(mirror: Mirror, samples: int) -> F32:
-    """Returns the reflection in a mirror, (H, W, 3) linear, row 0 at the bottom. The scene is that of the ``Stage``."""
+    """Renders the reflection in a mirror, (H, W, 3) linear, row 0 at the bottom, in the scene of the ``Stage``."""
     right, up = mirror.corners[1] - mirror.corners[0], mirror.corners[3] - mirror.corners[0]
     width, height = float(np.linalg.norm(right)), float(np.linalg.norm(up))
     normal = np.cross(right, up) / (width * height)
     scene = bpy.context.scene
-    scale = _LONG_PX / max(width, height)
+    scale = _LONG_SIDE_PX / max(width, height)
     scene.render.resolution_x, scene.render.resolution_y = max(16, round(width * scale)), max(16, round(height * scale))
     data = bpy.data.cameras.new("mirror")
     data.sensor_fit = "HORIZONTAL"
@@ -65,11 +67,11 @@ def reflection(mirror: Mirror, samples: int) -> F32:
     scene.camera = camera
     scene.cycles.samples = samples
     _bright_sky(scene.world)
-    # Rendered from behind, so left and right are exchanged.
-    return denoised(np.ascontiguousarray(_rendered(scene)[:, ::-1]))
+    # The camera is behind the mirror, so the image is flipped horizontally.
+    return denoise(np.ascontiguousarray(_render_image(scene)[:, ::-1]))
 
 
-def _rendered(scene: Any) -> F32:
+def _render_image(scene: Any) -> F32:
     settings = scene.render.image_settings
     settings.file_format, settings.color_depth = "OPEN_EXR", "32"
     with tempfile.TemporaryDirectory() as folder:
@@ -84,10 +86,10 @@ def _rendered(scene: Any) -> F32:
 
 
 def _bright_sky(world: Any) -> None:
-    """Makes the sky bright for camera rays only."""
+    """Sets the radiance of the sky, for camera rays only."""
     tree = world.node_tree
     path, strength = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMath")
     strength.operation = "MULTIPLY"
-    strength.inputs[1].default_value = _OUTSIDE
+    strength.inputs[1].default_value = _SKY_RADIANCE
     tree.links.new(path.outputs["Is Camera Ray"], strength.inputs[0])
     tree.links.new(strength.outputs[0], tree.nodes["Background"].inputs[1])

@@ -1,4 +1,4 @@
-"""Short names for Blender's shader nodes, the elements of patterns."""
+"""Wraps Blender's shader nodes, the elements of patterns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Graph:
         self.tree.nodes.clear()
         attribute = self._node("ShaderNodeAttribute", attribute_name="tint")
         self.tint: Socket = attribute.outputs["Color"]
-        self.place: Socket = self._node("ShaderNodeAttribute", attribute_name="place").outputs["Vector"]
+        self.coords: Socket = self._node("ShaderNodeAttribute", attribute_name="place").outputs["Vector"]
 
     def _node(self, kind: str, **settings: Any) -> Any:
         node = self.tree.nodes.new(kind)
@@ -49,20 +49,20 @@ class Graph:
         return node.outputs[0]
 
     def parts(self, vector: Value) -> tuple[Socket, Socket, Socket]:
-        """Returns x, y, z."""
+        """Returns the components x, y, z of a vector."""
         node = self._node("ShaderNodeSeparateXYZ")
         self._put(node.inputs[0], vector)
         return tuple(node.outputs)
 
     def vector(self, x: Value, y: Value, z: Value) -> Socket:
-        """Returns a vector of three numbers."""
+        """Returns a vector with three components."""
         node = self._node("ShaderNodeCombineXYZ")
         for socket, value in zip(node.inputs, (x, y, z), strict=True):
             self._put(socket, value)
         return node.outputs[0]
 
     def noise(self, vector: Value, scale: float, detail: float = 3.0, distortion: float = 0.0) -> Socket:
-        """Returns noise about 0.5."""
+        """Returns noise around 0.5."""
         node = self._node("ShaderNodeTexNoise", noise_dimensions="3D")
         self._put(node.inputs["Vector"], vector)
         for name, value in (("Scale", scale), ("Detail", detail), ("Distortion", distortion)):
@@ -70,14 +70,14 @@ class Graph:
         return node.outputs[0]
 
     def cells(self, vector: Value, scale: float) -> tuple[Socket, Socket]:
-        """Returns the distance from the centre of a Voronoi cell, and the cell's random colour."""
+        """Returns the distance from the centre of the Voronoi cell, and the random colour of the cell."""
         node = self._node("ShaderNodeTexVoronoi")
         self._put(node.inputs["Vector"], vector)
         node.inputs["Scale"].default_value = scale
         return node.outputs["Distance"], node.outputs["Color"]
 
     def bricks(self, vector: Value, width: float, height: float, gap: float, offset: float = 0.5) -> tuple[Socket, Socket]:
-        """Returns a random number per brick, 0 to 1, and a mask that is 1 in the joints."""
+        """Returns a random number for each brick, 0 to 1, and a mask that is 1 in the joints."""
         node = self._node("ShaderNodeTexBrick", offset=offset, offset_frequency=2)
         self._put(node.inputs["Vector"], vector)
         for name, value in (
@@ -87,23 +87,23 @@ class Graph:
             node.inputs[name].default_value = value
         return node.outputs["Color"], node.outputs["Fac"]
 
-    def between(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
-        """Returns the value, mapped from one range to another and clamped."""
+    def map_range(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
+        """Maps a value from one range to another, clamped."""
         node = self._node("ShaderNodeMapRange", clamp=True)
         for name, number in (("From Min", low), ("From Max", high), ("To Min", to_low), ("To Max", to_high)):
             node.inputs[name].default_value = number
         self._put(node.inputs["Value"], value)
         return node.outputs[0]
 
-    def times(self, color: Value, factor: Value) -> Socket:
-        """Returns a colour times a factor."""
+    def scale_color(self, color: Value, factor: Value) -> Socket:
+        """Returns a colour multiplied by a factor."""
         node = self._node("ShaderNodeVectorMath", operation="SCALE")
         self._put(node.inputs[0], color)
         self._put(node.inputs["Scale"], factor)
         return node.outputs[0]
 
     def mix(self, factor: Value, a: Value, b: Value) -> Socket:
-        """Returns the mix of two colours, from ``a`` (0) to ``b`` (1)."""
+        """Returns the mix of two colours: ``a`` for factor 0, ``b`` for factor 1."""
         node = self._node("ShaderNodeMix", data_type="RGBA")
         self._put(node.inputs[0], factor)
         self._put(node.inputs[6], a)
@@ -111,7 +111,7 @@ class Graph:
         return node.outputs[2]
 
     def ramp(self, value: Value, colors: Sequence[tuple[float, float, float]]) -> Socket:
-        """Returns a colour from a ramp of equal steps."""
+        """Returns a colour from a ramp with equal steps."""
         node = self._node("ShaderNodeValToRGB")
         node.color_ramp.interpolation = "CONSTANT"
         elements = node.color_ramp.elements

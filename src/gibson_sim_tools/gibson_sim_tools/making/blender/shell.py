@@ -11,74 +11,83 @@ from dataclasses import dataclass
 import numpy as np
 
 from gibson_sim.errors import SceneError
-from gibson_sim_tools.making.blender.looks import LOOKS, look
+from gibson_sim_tools.making.blender.appearances import APPEARANCES, surface_of
 from gibson_sim_tools.making.blender.openings import door_frame, window
 from gibson_sim_tools.making.blender.shapes import F64, ObjectBuilder, Surface
 from gibson_sim_tools.making.blender.stairs import slab_edges, stair
 from gibson_sim_tools.making.building import Building, Point, Room, Storey, Wall
 
-_SKIRTING = (0.012, 0.07)
+_SKIRTING_SIZE = (0.012, 0.07)
 _MAX_CHART = 6.0
-"""Longest side of a chart, metres; longer floors and walls are split."""
+"""Maximum side of a chart, m; longer floors and walls are split."""
 _BELOW_GROUND = 0.002
-_WET = ("tile", "metro", "checker")
+_TILE_PATTERNS = ("tile", "metro", "checker")
 
 
 @dataclass
 class ShellObject:
-    """An object of the scene."""
+    """An object of the scene, or a light blocker."""
 
     name: str
     semantic_class: str
     solid: ObjectBuilder
     exported: bool = True
-    """False = it only blocks light in the bake."""
+    """Whether it is part of the scene; False = it only blocks light in the bake."""
 
 
 def build_shell(building: Building) -> list[ShellObject]:
-    """Returns walls, floors, ceilings, windows, frames and stairs of a building."""
-    things: list[ShellObject] = []
+    """Models walls, floors, ceilings, windows, frames and stairs of a building."""
+    objects: list[ShellObject] = []
     for level, storey in enumerate(building.storeys):
         tag = "" if len(building.storeys) == 1 else f"_{level}"
         insets = {room.name: inset(room, storey) for room in storey.rooms}
         rng = np.random.default_rng((building.seed, 11, level))
-        below = [s.hole for s in building.stairs if s.storey == level]
-        through = [s.hole for s in building.stairs if s.storey == level - 1]
+        holes_in_ceiling = [s.hole for s in building.stairs if s.storey == level]
+        holes_in_floor = [s.hole for s in building.stairs if s.storey == level - 1]
         for room in storey.rooms:
             solid = ObjectBuilder(rng)
-            _level(solid, insets[room.name], through, storey.floor_z, look(room.floor, importance=1.25), up=True)
-            _thresholds(solid, room, storey)
-            # On the ground floor robots stand on the ground plane; the floor just below it marks the rooms in maps.
-            _slab_boxes(solid, insets[room.name], through, storey.floor_z - (0.0 if level else _BELOW_GROUND))
-            things.append(ShellObject(f"floor_{room.name}", "floor", solid))
+            _add_level_surface(
+                solid, insets[room.name], holes_in_floor, storey.floor_z, surface_of(room.floor, importance=1.25), up=True
+            )
+            _add_thresholds(solid, room, storey)
+            # On the ground floor, robots stand on the ground plane; the floor slightly below it marks the rooms in maps.
+            _add_slab_boxes(solid, insets[room.name], holes_in_floor, storey.floor_z - (0.0 if level else _BELOW_GROUND))
+            objects.append(ShellObject(f"floor_{room.name}", "floor", solid))
             solid = ObjectBuilder(rng)
-            _level(solid, insets[room.name], below, storey.floor_z + storey.height, look(room.ceiling, importance=0.5), up=False)
-            things.append(ShellObject(f"ceiling_{room.name}", "ceiling", solid))
+            _add_level_surface(
+                solid,
+                insets[room.name],
+                holes_in_ceiling,
+                storey.floor_z + storey.height,
+                surface_of(room.ceiling, importance=0.5),
+                up=False,
+            )
+            objects.append(ShellObject(f"ceiling_{room.name}", "ceiling", solid))
         rooms = {room.name: room for room in storey.rooms}
         for number, wall in enumerate(storey.walls):
             solid = ObjectBuilder(rng)
-            _wall(solid, wall, storey, rooms, insets)
-            things.append(ShellObject(f"wall{tag}_{number}", "wall", solid))
+            _add_wall(solid, wall, storey, rooms, insets)
+            objects.append(ShellObject(f"wall{tag}_{number}", "wall", solid))
             for k, opening in enumerate(wall.openings):
                 solid = ObjectBuilder(rng)
                 build = window if opening.kind == "window" else door_frame
                 build(solid, wall, opening, storey.floor_z)
                 if solid.parts:
                     name = "window" if opening.kind == "window" else "door_frame"
-                    things.append(ShellObject(f"{name}{tag}_{number}_{k}", name, solid))
-        things += _shut(storey, rng, level)
-    things += _lids(building)
+                    objects.append(ShellObject(f"{name}{tag}_{number}_{k}", name, solid))
+        objects += _door_blockers(storey, rng, level)
+    objects += _light_blockers(building)
     for number, flight in enumerate(building.stairs):
         solid = ObjectBuilder(np.random.default_rng((building.seed, 12, number)))
         low, high = building.storeys[flight.storey], building.storeys[flight.storey + 1]
         stair(solid, flight, low.floor_z, high.floor_z)
         slab_edges(solid, flight, low.floor_z + low.height, high.floor_z)
-        things.append(ShellObject(f"stair_{number}", "stairs", solid))
-    return things
+        objects.append(ShellObject(f"stair_{number}", "stairs", solid))
+    return objects
 
 
 def wall_axes(wall: Wall) -> tuple[F64, F64, float]:
-    """Returns the direction of a wall, the direction to its left, and its length.
+    """Returns the direction of a wall, the direction to its left, unit vectors (2,), and its length, m.
 
     Raises:
         SceneError: the wall runs neither along x nor along y.
@@ -94,16 +103,16 @@ def wall_axes(wall: Wall) -> tuple[F64, F64, float]:
 
 
 def inset(room: Room, storey: Storey) -> F64:
-    """Returns the corners (N, 2) of the inner faces of a room's walls."""
+    """Returns the corners, (N, 2), m, of the inner faces of a room's walls."""
     corners = np.asarray(room.corners, dtype=float)
-    nexts = np.roll(corners, -1, axis=0)
-    moved = []
-    for a, b in zip(corners, nexts, strict=True):
+    next_corners = np.roll(corners, -1, axis=0)
+    offsets = []
+    for a, b in zip(corners, next_corners, strict=True):
         u = (b - a) / np.linalg.norm(b - a)
-        moved.append((np.array([-u[1], u[0]]), _half_thickness(room, storey, a, b)))
+        offsets.append((np.array([-u[1], u[0]]), _half_thickness(room, storey, a, b)))
     result = []
     for k, corner in enumerate(corners):
-        (n0, h0), (n1, h1) = moved[k - 1], moved[k]
+        (n0, h0), (n1, h1) = offsets[k - 1], offsets[k]
         straight = abs(float(n0 @ n1)) > 0.5
         result.append(corner + n1 * h1 if straight else corner + n0 * h0 + n1 * h1)
     return np.array(result)
@@ -148,32 +157,34 @@ def _inside(polygon: F64, point: F64) -> bool:
     return bool(np.count_nonzero(crosses & (point[0] < x)) % 2)
 
 
-def _level(solid: ObjectBuilder, polygon: F64, holes: list[tuple[Point, ...]], z: float, surface: Surface, up: bool) -> None:
+def _add_level_surface(
+    solid: ObjectBuilder, polygon: F64, holes: list[tuple[Point, ...]], z: float, surface: Surface, up: bool
+) -> None:
     """Adds a floor or a ceiling, in charts of limited size."""
     size = np.ptp(polygon, axis=0)
     cuts = [np.linspace(polygon[:, k].min(), polygon[:, k].max(), int(np.ceil(size[k] / _MAX_CHART)) + 1) for k in (0, 1)]
-    turn = size[1] > size[0]
+    swap_axes = size[1] > size[0]
     for x0, y0, x1, y1 in _cells(polygon, holes):
-        for a0, a1 in _pieces(x0, x1, cuts[0]):
-            for b0, b1 in _pieces(y0, y1, cuts[1]):
+        for a0, a1 in _split_interval(x0, x1, cuts[0]):
+            for b0, b1 in _split_interval(y0, y1, cuts[1]):
                 quad = np.array([(a0, b0, z), (a1, b0, z), (a1, b1, z), (a0, b1, z)])
                 order = [0, 1, 2, 3] if up else [3, 2, 1, 0]
-                pattern = quad[:, [1, 0, 2]] if turn else quad
+                pattern = quad[:, [1, 0, 2]] if swap_axes else quad
                 part = solid.quad(quad[order], surface, pattern[order])
-                place = part.vertices[part.triangles][..., :2]
-                part.uv = place
+                plan_corners = part.vertices[part.triangles][..., :2]
+                part.uv = plan_corners
                 part.chart[:] = 100 * np.searchsorted(cuts[0], (a0 + a1) / 2) + np.searchsorted(cuts[1], (b0 + b1) / 2)
-    _join(solid)
+    _merge_parts(solid)
 
 
-def _pieces(low: float, high: float, cuts: F64) -> list[tuple[float, float]]:
+def _split_interval(low: float, high: float, cuts: F64) -> list[tuple[float, float]]:
     inner = [float(c) for c in cuts if low + 1e-6 < c < high - 1e-6]
     edges = [low, *inner, high]
     return list(itertools.pairwise(edges))
 
 
-def _join(solid: ObjectBuilder) -> None:
-    """Merges all parts, which have one surface, into one."""
+def _merge_parts(solid: ObjectBuilder) -> None:
+    """Merges all parts into one; they must have the same surface."""
     first = solid.parts[0]
     shift = np.cumsum([0] + [len(p.vertices) for p in solid.parts])
     first.triangles = np.concatenate([p.triangles + s for p, s in zip(solid.parts, shift[:-1], strict=True)])
@@ -182,8 +193,8 @@ def _join(solid: ObjectBuilder) -> None:
     solid.parts = [first]
 
 
-def _thresholds(solid: ObjectBuilder, room: Room, storey: Storey) -> None:
-    """Adds the floor in doors and passages, in the material of the room left of the wall."""
+def _add_thresholds(solid: ObjectBuilder, room: Room, storey: Storey) -> None:
+    """Adds the floor in doors and passages, with the material of the room left of the wall, else right of it."""
     for wall in storey.walls:
         if (wall.left or wall.right) != room.name:
             continue
@@ -195,24 +206,24 @@ def _thresholds(solid: ObjectBuilder, room: Room, storey: Storey) -> None:
             half, deep = u * opening.width / 2, n * wall.thickness / 2
             corners = [middle - half - deep, middle + half - deep, middle + half + deep, middle - half + deep]
             quad = np.array([(*c, storey.floor_z) for c in corners])
-            solid.quad(quad, look(room.floor), quad)
+            solid.quad(quad, surface_of(room.floor), quad)
 
 
-def _slab_boxes(solid: ObjectBuilder, polygon: F64, holes: list[tuple[Point, ...]], z: float) -> None:
-    for x0, y0, x1, y1 in _cells(widened(polygon, 0.06), holes):
+def _add_slab_boxes(solid: ObjectBuilder, polygon: F64, holes: list[tuple[Point, ...]], z: float) -> None:
+    for x0, y0, x1, y1 in _cells(offset_polygon(polygon, 0.06), holes):
         solid.collide((x0, y0, z - 0.2), (x1, y1, z))
 
 
-def widened(polygon: F64, by: float) -> F64:
-    """Returns a counter-clockwise polygon (N, 2) with its sides moved outwards, metres."""
+def offset_polygon(polygon: F64, by: float) -> F64:
+    """Returns a counter-clockwise polygon, (N, 2), with its sides moved outwards. ``by``: m."""
     sides = np.roll(polygon, -1, axis=0) - polygon
     outward = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1, keepdims=True)
-    before = np.roll(outward, 1, axis=0)
-    straight = np.abs(np.sum(before * outward, axis=1, keepdims=True)) > 0.5
-    return np.asarray(polygon + by * np.where(straight, outward, before + outward))
+    previous = np.roll(outward, 1, axis=0)
+    straight = np.abs(np.sum(previous * outward, axis=1, keepdims=True)) > 0.5
+    return np.asarray(polygon + by * np.where(straight, outward, previous + outward))
 
 
-def _wall(solid: ObjectBuilder, wall: Wall, storey: Storey, rooms: dict[str, Room], insets: dict[str, F64]) -> None:
+def _add_wall(solid: ObjectBuilder, wall: Wall, storey: Storey, rooms: dict[str, Room], insets: dict[str, F64]) -> None:
     u, n, length = wall_axes(wall)
     start = np.asarray(wall.start)
     for sign, name in ((1.0, wall.left), (-1.0, wall.right)):
@@ -220,17 +231,17 @@ def _wall(solid: ObjectBuilder, wall: Wall, storey: Storey, rooms: dict[str, Roo
         low, high = -wall.thickness / 2, length + wall.thickness / 2
         if room is not None:
             low, high = _span(wall, room, insets[name])
-        surface = look(room.walls) if room is not None else Surface("outside", LOOKS["outside"][1])
-        _face(solid, wall, sign, (low, high), storey, surface)
-        if room is not None and not surface.material.startswith(_WET):
-            _skirting(solid, wall, sign, (low, high), storey.floor_z)
+        surface = surface_of(room.walls) if room is not None else Surface("outside", APPEARANCES["outside"][1])
+        _add_wall_face(solid, wall, sign, (low, high), storey, surface)
+        if room is not None and not surface.material.startswith(_TILE_PATTERNS):
+            _add_skirting(solid, wall, sign, (low, high), storey.floor_z)
     for a, b, z0, z1 in _panels(wall, (-wall.thickness / 2, length + wall.thickness / 2)):
         p, q = start + u * a - n * wall.thickness / 2, start + u * b + n * wall.thickness / 2
         solid.collide((*p, storey.floor_z + z0), (*q, storey.floor_z + z1))
 
 
 def _span(wall: Wall, room: Room, inner: F64) -> tuple[float, float]:
-    """Returns the interval of a wall that faces a room, metres along it."""
+    """Returns the interval of a wall that faces a room, m along the wall."""
     u, _, length = wall_axes(wall)
     span = [0.0, length]
     for k, corner in enumerate(np.asarray(room.corners, dtype=float)):
@@ -241,7 +252,7 @@ def _span(wall: Wall, room: Room, inner: F64) -> tuple[float, float]:
 
 
 def _panels(wall: Wall, span: tuple[float, float]) -> list[tuple[float, float, float, float]]:
-    """Returns rectangles (from, to, low, high) of a wall without its openings; heights above the floor."""
+    """Returns the rectangles, (start, end, low, high), of a wall around its openings; m, heights above the floor."""
     panels, at = [], span[0]
     for opening in sorted(wall.openings, key=lambda o: o.middle):
         a, b = opening.middle - opening.width / 2, opening.middle + opening.width / 2
@@ -253,14 +264,16 @@ def _panels(wall: Wall, span: tuple[float, float]) -> list[tuple[float, float, f
     return [p for p in panels if p[1] - p[0] > 1e-4 and p[3] - p[2] > 1e-4]
 
 
-def _face(solid: ObjectBuilder, wall: Wall, sign: float, span: tuple[float, float], storey: Storey, surface: Surface) -> None:
-    """Adds one side of a wall with continuous pattern and charts."""
+def _add_wall_face(
+    solid: ObjectBuilder, wall: Wall, sign: float, span: tuple[float, float], storey: Storey, surface: Surface
+) -> None:
+    """Adds one side of a wall with a continuous pattern, split into charts of limited size."""
     u, n, _ = wall_axes(wall)
     origin = np.asarray(wall.start) + n * sign * wall.thickness / 2
     cuts = np.linspace(*span, int(np.ceil((span[1] - span[0]) / _MAX_CHART)) + 1)
     first = len(solid.parts)
     for low, high, z0, z1 in _panels(wall, span):
-        for a, b in _pieces(low, high, cuts):
+        for a, b in _split_interval(low, high, cuts):
             flat = np.array([(a, z0), (b, z0), (b, z1), (a, z1)])
             if sign > 0:
                 flat = flat[::-1]
@@ -271,11 +284,11 @@ def _face(solid: ObjectBuilder, wall: Wall, sign: float, span: tuple[float, floa
             part.chart[:] = np.searchsorted(cuts, (a + b) / 2)
     if first < len(solid.parts):
         rest, solid.parts = solid.parts[:first], solid.parts[first:]
-        _join(solid)
+        _merge_parts(solid)
         solid.parts = rest + solid.parts
 
 
-def _skirting(solid: ObjectBuilder, wall: Wall, sign: float, span: tuple[float, float], z: float) -> None:
+def _add_skirting(solid: ObjectBuilder, wall: Wall, sign: float, span: tuple[float, float], z: float) -> None:
     u, n, _ = wall_axes(wall)
     inner = n * sign * wall.thickness / 2
     at = span[0]
@@ -287,15 +300,15 @@ def _skirting(solid: ObjectBuilder, wall: Wall, sign: float, span: tuple[float, 
     for a, b in [*ends, (span[1], span[1])]:
         if a - at > 0.02:
             p = np.asarray(wall.start) + u * at + inner
-            q = np.asarray(wall.start) + u * a + inner + n * sign * _SKIRTING[0]
+            q = np.asarray(wall.start) + u * a + inner + n * sign * _SKIRTING_SIZE[0]
             side = {(1, 0): "+x", (-1, 0): "-x", (0, 1): "+y", (0, -1): "-y"}[(round(-n[0] * sign), round(-n[1] * sign))]
-            solid.box((*p, z), (*q, z + _SKIRTING[1]), look("wood_white"), 0.004, f"-z {side}")
+            solid.box((*p, z), (*q, z + _SKIRTING_SIZE[1]), surface_of("wood_white"), 0.004, f"-z {side}")
         at = b
 
 
-def _shut(storey: Storey, rng: np.random.Generator, level: int) -> list[ShellObject]:
-    """Returns blockers that keep the sun out of outside doors, whose leaves are movable bodies and closed."""
-    things = []
+def _door_blockers(storey: Storey, rng: np.random.Generator, level: int) -> list[ShellObject]:
+    """Returns blockers in outside doors; their leaves are movable bodies and not part of the bake."""
+    objects = []
     for number, wall in enumerate(storey.walls):
         u, n, _ = wall_axes(wall)
         for opening in wall.openings:
@@ -305,20 +318,20 @@ def _shut(storey: Storey, rng: np.random.Generator, level: int) -> list[ShellObj
                 solid.box(
                     (*low, storey.floor_z), (*high, storey.floor_z + opening.height), Surface("outside", (0.5, 0.5, 0.5)), 0
                 )
-                things.append(ShellObject(f"shut_{level}_{number}", "", solid, exported=False))
-    return things
+                objects.append(ShellObject(f"shut_{level}_{number}", "", solid, exported=False))
+    return objects
 
 
-def _lids(building: Building) -> list[ShellObject]:
-    """Returns blockers that keep light out above the highest and below the lowest storey."""
+def _light_blockers(building: Building) -> list[ShellObject]:
+    """Returns light blockers above the highest and below the lowest storey."""
     surface = Surface("outside", (0.5, 0.5, 0.5))
     ends = [(building.storeys[-1], building.storeys[-1].height + 0.3), (building.storeys[0], -0.1)]
-    things = []
+    objects = []
     for number, (storey, height) in enumerate(ends):
         solid = ObjectBuilder(np.random.default_rng((building.seed, 13, number)))
         points = np.array([p for wall in storey.walls for p in (wall.start, wall.end)])
         (x0, y0), (x1, y1) = points.min(axis=0) - 0.3, points.max(axis=0) + 0.3
         z = storey.floor_z + height
         solid.box((x0, y0, z), (x1, y1, z + 0.05), surface, 0)
-        things.append(ShellObject(f"lid_{number}", "", solid, exported=False))
-    return things
+        objects.append(ShellObject(f"lid_{number}", "", solid, exported=False))
+    return objects

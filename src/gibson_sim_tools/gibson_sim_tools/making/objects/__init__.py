@@ -1,4 +1,4 @@
-"""Our objects, ``scenes/objects``: masses, joints, textures and URDF.
+"""Generates the built-in objects, ``scenes/objects``: masses, joints, textures and URDF.
 
-Blender makes their meshes: ``gibson_sim_tools.making.blender.objects``.
+Blender models their meshes: ``gibson_sim_tools.making.blender.objects``.
 """

@@ -1,4 +1,4 @@
-"""All our objects by name."""
+"""Lists all built-in objects by name."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from gibson_sim_tools.making.objects.joined import JOINED
 from gibson_sim_tools.making.objects.loose import LOOSE
 from gibson_sim_tools.making.objects.model import ObjectModel
 
-OBJECTS: dict[str, ObjectModel] = {one.name: one for one in (*LOOSE, *JOINED)}
-"""In the order of the table in docs/objects.md."""
+OBJECTS: dict[str, ObjectModel] = {model.name: model for model in (*LOOSE, *JOINED)}
+"""Objects by name, in the order of the table in docs/objects.md."""

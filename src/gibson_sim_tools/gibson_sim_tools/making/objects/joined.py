@@ -1,7 +1,7 @@
-"""Objects with joints: doors, a window, cabinets, a fridge, an oven.
+"""Defines objects with joints: doors, a window, cabinets, a fridge, an oven.
 
-Doors and windows are fixed to the world; their origin is in the hinge, on the floor (a window: on the sill), the closed leaf along +x. The
-others stand on their underside, their front to +x; ``static`` in a scene builds them in.
+Doors and windows are fixed to the world; their origin is in the hinge, on the floor (for a window: on the sill), with the closed leaf along +x.
+The others stand on their underside and face +x; ``static`` in a scene fixes them to the world.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from gibson_sim_tools.making.objects.model import ZERO, ObjectJoint, ObjectLink,
 
 WORLD = "world"
 """Empty root link of fixed objects."""
-LEAF = 0.04
-"""Thickness of a door, metres."""
+LEAF_THICKNESS = 0.04
+"""Thickness of a door leaf, m."""
 HANDLE_Z = 1.02
-PANEL = 0.018
-"""Thickness of the boards of cabinets."""
+"""Height of a door handle, m."""
+BOARD_THICKNESS = 0.018
+"""Thickness of the boards of cabinets, m."""
 _FIXED = ObjectLink(WORLD, 0.0, (), visual=False)
 
 
@@ -27,24 +28,26 @@ def door_names() -> tuple[str, ...]:
 
 
 def _door(name: str, width: float, side: int) -> ObjectModel:
-    """A leaf for a clear opening of ``width``, its axis 22 mm inside; ``side``: 1 = it swings to +y, -1 = to -y."""
-    reach = width - 0.026
-    leaf = ObjectLink("leaf", 22.0 * width / 0.8, (box((0.0, -LEAF / 2, 0.006), (reach, LEAF / 2, 1.994)),), 0.45)
+    """Returns a leaf for a clear opening of ``width``, m, with its axis 22 mm inside. ``side``: 1 = it swings to +y, -1 = to -y."""
+    leaf_width = width - 0.026
+    leaf = ObjectLink(
+        "leaf", 22.0 * width / 0.8, (box((0.0, -LEAF_THICKNESS / 2, 0.006), (leaf_width, LEAF_THICKNESS / 2, 1.994)),), 0.45
+    )
     handle = ObjectLink("handle", 0.5, lever(), 0.4, center=ZERO)
     return ObjectModel(
-        name, "door", (reach + LEAF / 2, 0.144, 1.988), (_FIXED, leaf, handle),
+        name, "door", (leaf_width + LEAF_THICKNESS / 2, 0.144, 1.988), (_FIXED, leaf, handle),
         (
             ObjectJoint("hinge", "revolute", WORLD, "leaf", ZERO, (0.0, 0.0, float(side)), 0.0, math.radians(100.0), 2.5),
-            ObjectJoint("handle", "revolute", "leaf", "handle", (reach - 0.06, 0.0, HANDLE_Z), (0.0, -1.0, 0.0), 0.0, math.radians(40.0), 0.02),
+            ObjectJoint("handle", "revolute", "leaf", "handle", (leaf_width - 0.06, 0.0, HANDLE_Z), (0.0, -1.0, 0.0), 0.0, math.radians(40.0), 0.02),
         ),
         built_in=True,
     )  # fmt: skip
 
 
 def lever() -> tuple[Primitive, ...]:
-    """Returns a spindle with a lever at both ends, which point to the hinge; the origin is on its axis."""
-    across = Primitive("cylinder", (0.009, 0.126, 0.0), ZERO, (math.pi / 2, 0.0, 0.0))
-    return (across, *(box((-0.125, side * 0.054, -0.009), (0.009, side * 0.072, 0.009)) for side in (-1, 1)))
+    """Returns a spindle with a lever at each end, pointing to the hinge; the origin is on its axis."""
+    spindle = Primitive("cylinder", (0.009, 0.126, 0.0), ZERO, (math.pi / 2, 0.0, 0.0))
+    return (spindle, *(box((-0.125, side * 0.054, -0.009), (0.009, side * 0.072, 0.009)) for side in (-1, 1)))
 
 
 def _sliding_door() -> ObjectModel:
@@ -63,9 +66,9 @@ def _sliding_door() -> ObjectModel:
 
 
 def _window() -> ObjectModel:
-    """A frame of 0.80 x 1.20 m with one sash, hung at x = 0.05 on the side of +y."""
+    """Returns a frame of 0.80 x 1.20 m with one sash, hinged at x = 0.05 on the side +y."""
     frame = ObjectLink("frame", 8.0, _rim(0.0, 0.8, 0.0, 1.2, 0.05, 0.035), 0.4)
-    # The axis is at the edge of the sash that looks into the room: from there it swings clear of its frame.
+    # The axis is at the inner edge of the sash, so that it swings clear of its frame.
     sash_width, low, high = 0.7, 0.05, 1.15
     sash = ObjectLink("sash", 14.0, (box((0.004, -0.055, low + 0.004), (sash_width - 0.004, -0.005, high - 0.004)),), 0.4)
     handle = ObjectLink(
@@ -98,7 +101,7 @@ def _rim(x0: float, x1: float, z0: float, z1: float, wide: float, half_depth: fl
 
 
 def carcass(x0: float, x1: float, width: float, z0: float, z1: float, wall: float) -> tuple[Primitive, ...]:
-    """Returns back, sides, bottom and top of a case with an open front."""
+    """Returns back, sides, bottom and top of a cabinet with an open front."""
     y = width / 2
     return (
         box((x0, -y, z0), (x0 + wall, y, z1)),
@@ -110,15 +113,18 @@ def carcass(x0: float, x1: float, width: float, z0: float, z1: float, wall: floa
 
 
 DRAWERS_Z = (0.075, 0.285, 0.495)
-"""Lower edges of the fronts of the drawers."""
-DRAWER_HIGH = 0.204
-_DRAWER_DEEP = 0.37
+"""Heights of the lower edges of the drawer fronts, m."""
+DRAWER_HEIGHT = 0.204
+_DRAWER_DEPTH = 0.37
 
 
 def _cabinet_drawers() -> ObjectModel:
     links = [
         ObjectLink(
-            "body", 19.0, (*carcass(-0.225, 0.177, 0.6, 0.06, 0.72, PANEL), box((-0.2, -0.28, 0.0), (0.13, 0.28, 0.06))), 0.5
+            "body",
+            19.0,
+            (*carcass(-0.225, 0.177, 0.6, 0.06, 0.72, BOARD_THICKNESS), box((-0.2, -0.28, 0.0), (0.13, 0.28, 0.06))),
+            0.5,
         )
     ]
     joints = []
@@ -133,27 +139,30 @@ def _cabinet_drawers() -> ObjectModel:
 
 
 def _drawer() -> tuple[Primitive, ...]:
-    """Returns a drawer, its origin at the lower back edge of its front."""
-    y, back, top = 0.265, -_DRAWER_DEEP, 0.16
+    """Returns a drawer; its origin is at the lower back edge of its front."""
+    y, back, top = 0.265, -_DRAWER_DEPTH, 0.16
     return (
-        box((0.0, -0.297, 0.0), (PANEL, 0.297, DRAWER_HIGH)),
+        box((0.0, -0.297, 0.0), (BOARD_THICKNESS, 0.297, DRAWER_HEIGHT)),
         box((back, -y, 0.015), (0.0, y, 0.024)),
         box((back, -y, 0.024), (back + 0.012, y, top)),
         box((back + 0.012, -y, 0.024), (0.0, -y + 0.012, top)),
         box((back + 0.012, y - 0.012, 0.024), (0.0, y, top)),
-        box((PANEL + 0.018, -0.08, 0.125), (PANEL + 0.03, 0.08, 0.137)),
+        box((BOARD_THICKNESS + 0.018, -0.08, 0.125), (BOARD_THICKNESS + 0.03, 0.08, 0.137)),
     )
 
 
 def _cabinet_doors() -> ObjectModel:
     shelf = box((-0.207, -0.382, 0.40), (0.16, 0.382, 0.418))
     body = ObjectLink(
-        "body", 24.0, (*carcass(-0.225, 0.177, 0.8, 0.06, 0.76, PANEL), shelf, box((-0.2, -0.38, 0.0), (0.13, 0.38, 0.06))), 0.5
+        "body",
+        24.0,
+        (*carcass(-0.225, 0.177, 0.8, 0.06, 0.76, BOARD_THICKNESS), shelf, box((-0.2, -0.38, 0.0), (0.13, 0.38, 0.06))),
+        0.5,
     )
     links, joints = [body], []
     for name, side in (("door_left", 1), ("door_right", -1)):
-        leaf = box((0.0, -side * 0.002, 0.062), (PANEL, -side * 0.3985, 0.758))
-        bar = box((PANEL + 0.018, -side * 0.36, 0.38), (PANEL + 0.03, -side * 0.372, 0.54))
+        leaf = box((0.0, -side * 0.002, 0.062), (BOARD_THICKNESS, -side * 0.3985, 0.758))
+        bar = box((BOARD_THICKNESS + 0.018, -side * 0.36, 0.38), (BOARD_THICKNESS + 0.03, -side * 0.372, 0.54))
         links.append(ObjectLink(name, 4.5, (leaf, bar), 0.5))
         joints.append(
             ObjectJoint(
@@ -178,7 +187,7 @@ def _fridge() -> ObjectModel:
 
 
 def _oven() -> ObjectModel:
-    """The axis of the door is at its lower front edge: gravity holds it closed, and open."""
+    """Returns an oven. The axis of its door is at the lower front edge: gravity holds it closed, and open."""
     rack = box((-0.26, -0.23, 0.27), (0.2, 0.23, 0.276))
     panel = box((0.23, -0.2975, 0.49), (0.265, 0.2975, 0.6))
     body = ObjectLink("body", 30.0, (*carcass(-0.3, 0.23, 0.595, 0.0, 0.6, 0.045), rack, panel), 0.5)

@@ -1,6 +1,6 @@
-"""The model behind an object's URDF: links of primitives, joints, masses. Plain values and their arithmetic; NumPy only.
+"""Defines the model behind an object's URDF: links of primitives, joints, masses. Plain values and arithmetic; NumPy only.
 
-Frames: the origin of an object is at the centre of its underside, x to its front, y to its left, z up; doors and windows have it in the
+Frames: the origin of an object is the centre of its underside, x to the front, y to the left, z up; that of doors and windows is in the
 hinge (see ``joined``). Metres, kilograms, radians.
 """
 
@@ -22,19 +22,19 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """A primitive with mass that a link collides with."""
+    """A primitive with mass: a collision shape of a link."""
 
     kind: Literal["box", "cylinder", "sphere"]
     size: Vec3
-    """box: edge lengths; cylinder about z: (radius, length, 0); sphere: (radius, 0, 0)."""
+    """Edge lengths of a box; (radius, length, 0) of a cylinder about z; (radius, 0, 0) of a sphere; m."""
     middle: Vec3
-    """In the frame of its link."""
+    """Centre in the frame of the link, m."""
     rpy: Vec3 = ZERO
-    """Roll, pitch, yaw about fixed axes."""
+    """Roll, pitch, yaw about fixed axes, radians."""
 
     @property
     def volume(self) -> float:
-        """Cubic metres."""
+        """Volume, m^3."""
         a, b, c = self.size
         if self.kind == "box":
             return a * b * c
@@ -42,35 +42,35 @@ class Primitive:
 
     @property
     def second_moments(self) -> F64:
-        """Second moments about the centre, (3, 3), in the axes of the link: the mean of x x^T over the volume, m^2."""
+        """Second moments about the centre, (3, 3), axes of the link: the mean of x x^T over the volume, m^2."""
         a, b, c = self.size
         if self.kind == "box":
-            own = np.diag([a * a, b * b, c * c]) / 12.0
+            moments = np.diag([a * a, b * b, c * c]) / 12.0
         elif self.kind == "cylinder":
-            own = np.diag([a * a / 4.0, a * a / 4.0, b * b / 12.0])
+            moments = np.diag([a * a / 4.0, a * a / 4.0, b * b / 12.0])
         else:
-            own = np.eye(3) * a * a / 5.0
-        turn = rotation(self.rpy)
-        return np.asarray(turn @ own @ turn.T)
+            moments = np.eye(3) * a * a / 5.0
+        R = rotation(self.rpy)
+        return np.asarray(R @ moments @ R.T)
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectLink:
-    """One rigid part."""
+    """A rigid link."""
 
     name: str
     mass: float
-    """kg; uniform over the primitives."""
+    """Mass, kg, distributed uniformly over the primitives."""
     primitives: tuple[Primitive, ...]
     friction: float = 0.5
     rolling_friction: float = 0.0
-    """Rolling friction, metres; 0 = rolls without resistance."""
+    """Coefficient of rolling friction, m; 0 = rolls without resistance."""
     center: Vec3 | None = None
-    """Centre of mass, if not that of the primitives: a handle balanced by a spring."""
+    """Centre of mass, m; None = that of the primitives. Set for a handle balanced by a spring."""
     visual: bool = True
     """Whether the link has a mesh."""
     mesh: str = ""
-    """Name of a mesh that several links share; empty = the name of the link."""
+    """Name of a mesh shared by several links; empty = the name of the link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,27 +82,27 @@ class ObjectJoint:
     parent: str
     child: str
     origin: Vec3
-    """Origin of the child in the parent's frame, at position 0; the axes of both are parallel."""
+    """Origin of the child in the frame of the parent at position 0, m; their axes are parallel."""
     axis: Vec3 = (0.0, 0.0, 1.0)
     lower: float = 0.0
     upper: float = 0.0
     damping: float = 0.0
-    """N m s/rad, or N s/m."""
+    """Damping, N m s/rad or N s/m."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectModel:
-    """One object."""
+    """Model of an object."""
 
     name: str
     semantic_class: str
     size: Vec3
-    """Depth (x), width (y), height (z) of the meshes, all joints at 0."""
+    """Depth (x), width (y), height (z) of the meshes with all joints at 0, m."""
     links: tuple[ObjectLink, ...]
-    """The root first."""
+    """Links, the root first."""
     joints: tuple[ObjectJoint, ...] = ()
     built_in: bool = False
-    """It is fixed to the world: a door, a window."""
+    """Whether it is fixed to the world, as doors and windows are."""
 
     @property
     def mass(self) -> float:
@@ -115,14 +115,15 @@ class MassProperties:
     """Mass, centre of mass and inertia of a link."""
 
     mass: float
+    """Mass, kg."""
     center: F64
-    """(3,), frame of the link."""
+    """Centre of mass, (3,), m, frame of the link."""
     inertia: F64
-    """(3, 3), about the centre, kg m^2."""
+    """Inertia about the centre of mass, (3, 3), kg m^2."""
 
 
 def mass_properties(link: ObjectLink) -> MassProperties:
-    """Returns mass, centre and inertia of a link, its mass uniform over its primitives."""
+    """Returns the mass properties of a link; its mass is distributed uniformly over its primitives."""
     total = sum(primitive.volume for primitive in link.primitives)
     center = sum((primitive.volume / total * np.array(primitive.middle) for primitive in link.primitives), np.zeros(3))
     second = np.zeros((3, 3))
@@ -134,7 +135,7 @@ def mass_properties(link: ObjectLink) -> MassProperties:
 
 
 def rotation(rpy: Sequence[float]) -> F64:
-    """Returns Rz(yaw) Ry(pitch) Rx(roll), (3, 3)."""
+    """Returns the rotation Rz(yaw) Ry(pitch) Rx(roll), (3, 3). ``rpy``: radians."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in rpy)
     return np.array(
         [
@@ -146,41 +147,41 @@ def rotation(rpy: Sequence[float]) -> F64:
 
 
 def box(low: Vec3, high: Vec3) -> Primitive:
-    """Returns the box between two corners."""
+    """Returns the box between two opposite corners, m."""
     size = tuple(abs(b - a) for a, b in zip(low, high, strict=True))
     middle = tuple((a + b) / 2.0 for a, b in zip(low, high, strict=True))
     return Primitive("box", (size[0], size[1], size[2]), (middle[0], middle[1], middle[2]))
 
 
-def upright(radius: float, low: float, high: float, x: float = 0.0, y: float = 0.0) -> Primitive:
-    """Returns an upright cylinder from one height to another."""
+def cylinder(radius: float, low: float, high: float, x: float = 0.0, y: float = 0.0) -> Primitive:
+    """Returns a cylinder about a vertical axis between two heights, m."""
     return Primitive("cylinder", (radius, high - low, 0.0), (x, y, (low + high) / 2.0))
 
 
-def ball(radius: float) -> Primitive:
+def resting_sphere(radius: float) -> Primitive:
     """Returns a sphere that rests on z = 0."""
     return Primitive("sphere", (radius, 0.0, 0.0), (0.0, 0.0, radius))
 
 
 def ring_wall(bottom: float, top: float, low: float, high: float, thickness: float, sides: int = 8) -> tuple[Primitive, ...]:
-    """Returns boxes in a ring: the wall of a bowl or a bin, open above.
+    """Returns a ring of boxes: the wall of a bowl or a bin, open at the top.
 
     Args:
-        bottom: outer radius at the height ``low``.
-        top: outer radius at the height ``high``.
-        low: metres.
-        high: metres.
-        thickness: of the wall, metres.
+        bottom: outer radius at the height ``low``, metres.
+        top: outer radius at the height ``high``, metres.
+        low: height of the lower edge, metres.
+        high: height of the upper edge, metres.
+        thickness: thickness of the wall, metres.
         sides: number of boxes.
     """
-    lean = math.atan2(top - bottom, high - low)
+    tilt = math.atan2(top - bottom, high - low)
     length = math.hypot(top - bottom, high - low)
-    # The ends of a side lie on the outline, so its centre is nearer to the axis.
-    apothem = ((bottom + top) / 2.0 - thickness / 2.0 * math.cos(lean)) * math.cos(math.pi / sides)
+    # The ends of a side are on the outline, so its centre is nearer to the axis.
+    apothem = ((bottom + top) / 2.0 - thickness / 2.0 * math.cos(tilt)) * math.cos(math.pi / sides)
     width = 2.0 * max(bottom, top) * math.sin(math.pi / sides)
     walls = []
     for k in range(sides):
         yaw = 2.0 * math.pi * (k + 0.5) / sides
         middle = (apothem * math.cos(yaw), apothem * math.sin(yaw), (low + high) / 2.0)
-        walls.append(Primitive("box", (thickness, width, length), middle, (0.0, lean, yaw)))
+        walls.append(Primitive("box", (thickness, width, length), middle, (0.0, tilt, yaw)))
     return tuple(walls)

@@ -1,4 +1,4 @@
-"""Draws the textures of our objects: labels, covers, wood. All are procedural."""
+"""Draws the procedural textures of the built-in objects: labels, covers, wood, ..."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from gibson_sim.picture_files import write_picture
 
 Rgb = NDArray[np.uint8]
 Color = tuple[int, int, int]
-_FINE = 4
+_SUPERSAMPLING = 4
 """Supersampling factor."""
-_QUALITY = 82
-_INK: Color = (38, 36, 34)
+_JPEG_QUALITY = 82
+_DARK: Color = (38, 36, 34)
 _WHITE: Color = (246, 244, 238)
 
 
 class Canvas:
-    """A picture under construction; positions and sizes are fractions of width and height, from the top left."""
+    """A canvas for drawing; positions and sizes are fractions of width and height, from the top left."""
 
     def __init__(self, width: int, height: int, color: Color) -> None:
-        self.width, self.height = width * _FINE, height * _FINE
+        self.width, self.height = width * _SUPERSAMPLING, height * _SUPERSAMPLING
         self.pixels: Rgb = np.full((self.height, self.width, 3), color, dtype=np.uint8)
 
     def rectangle(self, x0: float, y0: float, x1: float, y1: float, color: Color) -> None:
@@ -32,7 +32,7 @@ class Canvas:
         cv2.rectangle(self.pixels, self._at(x0, y0), self._at(x1, y1), color, -1)
 
     def disc(self, x: float, y: float, radius: float, color: Color) -> None:
-        """Fills a circle; ``radius`` is a fraction of the height."""
+        """Fills a circle. ``radius``: fraction of the height."""
         cv2.circle(self.pixels, self._at(x, y), round(radius * self.height), color, -1, cv2.LINE_AA)
 
     def polygon(self, corners: list[tuple[float, float]], color: Color) -> None:
@@ -41,12 +41,12 @@ class Canvas:
         cv2.fillPoly(self.pixels, [points], color, cv2.LINE_AA)
 
     def line(self, corners: list[tuple[float, float]], width: float, color: Color) -> None:
-        """Draws a line through points; ``width`` is a fraction of the height."""
+        """Draws a polyline. ``width``: fraction of the height."""
         points = np.array([self._at(x, y) for x, y in corners], dtype=np.int32)
         cv2.polylines(self.pixels, [points], False, color, max(1, round(width * self.height)), cv2.LINE_AA)
 
     def text(self, text: str, x: float, y: float, high: float, color: Color, weight: float = 0.16) -> None:
-        """Writes a line of text centred at (x, y); ``high``: height of capitals as a fraction of the picture's height."""
+        """Writes a line of text centred at (x, y). ``high``: height of capitals as a fraction of the canvas height."""
         font = cv2.FONT_HERSHEY_DUPLEX
         pixels = high * self.height
         thick = max(1, round(pixels * weight))
@@ -55,9 +55,9 @@ class Canvas:
         left, below = round(x * self.width - width / 2), round(y * self.height + height / 2)
         cv2.putText(self.pixels, text, (left, below), font, scale, color, thick, cv2.LINE_AA)
 
-    def finished(self) -> Rgb:
-        """Returns the picture at its final size."""
-        size = (self.width // _FINE, self.height // _FINE)
+    def finish(self) -> Rgb:
+        """Downsamples and returns the picture, (H, W, 3) uint8 sRGB."""
+        size = (self.width // _SUPERSAMPLING, self.height // _SUPERSAMPLING)
         return np.asarray(cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
     def _at(self, x: float, y: float) -> tuple[int, int]:
@@ -65,17 +65,17 @@ class Canvas:
 
 
 def write_pictures(folder: Path, names: list[str]) -> None:
-    """Writes the textures of these names as ``<name>.jpg``.
+    """Writes the textures with these names as ``<name>.jpg``.
 
     Raises:
         WriteError: a file cannot be written.
     """
     for name in names:
-        write_picture(folder / f"{name}.jpg", PICTURES[name]()[:, :, ::-1], (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
+        write_picture(folder / f"{name}.jpg", PICTURES[name]()[:, :, ::-1], (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
 
 
 def noise(width: int, height: int, cells: tuple[float, float], seed: int, octaves: int = 4) -> NDArray[np.float64]:
-    """Returns smooth noise that repeats at its borders, (height, width), about -1 to 1; ``cells``: waves across and down."""
+    """Returns smooth, tileable noise, (height, width), about -1 to 1. ``cells``: number of waves across and down."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     x, y = x / width * 2 * np.pi, y / height * 2 * np.pi
@@ -89,7 +89,7 @@ def noise(width: int, height: int, cells: tuple[float, float], seed: int, octave
 
 
 def _wood(light: Color, dark: Color, seed: int) -> Rgb:
-    """Grain along x, repeating."""
+    """Returns a tileable wood texture with the grain along x."""
     grain = noise(256, 256, (1.0, 9.0), seed, 4)
     rings = np.sin(11.0 * noise(256, 256, (0.3, 3.0), seed + 1, 1) + 2.0 * grain)
     fibre = noise(256, 256, (1.2, 60.0), seed + 2, 2)
@@ -111,7 +111,7 @@ def _water() -> Rgb:
     for x in (0.25, 0.75):
         c.text("FONTE", x, 0.36, 0.26, _WHITE, 0.2)
         c.text("natural mineral water", x, 0.6, 0.085, (214, 236, 250), 0.1)
-    return c.finished()
+    return c.finish()
 
 
 def _wine() -> Rgb:
@@ -121,9 +121,9 @@ def _wine() -> Rgb:
     for x in (0.25, 0.75):
         c.disc(x, 0.27, 0.13, (122, 26, 38))
         c.text("V", x, 0.27, 0.12, (236, 228, 208), 0.18)
-        c.text("VIGNA ALTA", x, 0.56, 0.12, _INK, 0.15)
+        c.text("VIGNA ALTA", x, 0.56, 0.12, _DARK, 0.15)
         c.text("rosso  2019", x, 0.76, 0.08, (122, 26, 38), 0.12)
-    return c.finished()
+    return c.finish()
 
 
 def _soda() -> Rgb:
@@ -136,7 +136,7 @@ def _soda() -> Rgb:
         )
         c.text("ZING", x, 0.46, 0.24, (250, 214, 60), 0.26)
         c.text("orange soda", x, 0.83, 0.07, _WHITE, 0.14)
-    return c.finished()
+    return c.finish()
 
 
 def _food() -> Rgb:
@@ -149,11 +149,11 @@ def _food() -> Rgb:
             c.disc(x + dx - 0.014, dy - 0.05, r * 0.25, (240, 120, 100))
             c.polygon([(x + dx - 0.02, dy - r), (x + dx, dy - r + 0.07), (x + dx + 0.02, dy - r)], (120, 170, 60))
         c.text("POMODORI", x, 0.31, 0.17, (250, 240, 214), 0.2)
-    return c.finished()
+    return c.finish()
 
 
 def _cover(color: Color, accent: Color, title: tuple[str, str], author: str) -> Rgb:
-    """A cover: the left eighth is the spine (its text runs down), the rest the front."""
+    """Returns a book cover: the left eighth is the spine (text running down), the rest the front."""
     c = Canvas(288, 384, color)
     c.rectangle(0.125, 0.0, 0.128, 1.0, tuple(int(v * 0.7) for v in color))  # type: ignore[arg-type]
     c.rectangle(0.2, 0.06, 0.93, 0.065, accent)
@@ -166,13 +166,13 @@ def _cover(color: Color, accent: Color, title: tuple[str, str], author: str) -> 
     spine = Canvas(384, 36, color)
     spine.text(" ".join(title), 0.45, 0.5, 0.42, accent, 0.16)
     spine.rectangle(0.9, 0.2, 0.97, 0.8, accent)
-    picture = c.finished()
-    picture[:, :36] = np.rot90(spine.finished(), -1)
+    picture = c.finish()
+    picture[:, :36] = np.rot90(spine.finish(), -1)
     return picture
 
 
 def _cereal() -> Rgb:
-    """Left 5/8 the front, right 3/8 a narrow side."""
+    """Returns a cereal box: the left 5/8 is the front, the right 3/8 a narrow side."""
     c = Canvas(416, 448, (240, 172, 38))
     c.polygon([(0, 0), (0.625, 0), (0.625, 0.34), (0, 0.44)], (196, 44, 36))
     c.text("GOLDEN", 0.312, 0.12, 0.075, _WHITE, 0.24)
@@ -183,14 +183,14 @@ def _cereal() -> Rgb:
     for angle, far in zip(rng.uniform(0, 2 * np.pi, 70), np.sqrt(rng.uniform(0, 1, 70)), strict=True):
         tone = int(rng.integers(-18, 18))
         c.disc(0.312 + 0.165 * far * np.cos(angle), 0.70 + 0.145 * far * np.sin(angle), 0.02, (206 + tone, 138 + tone, 56 + tone))
-    c.text("500 g", 0.52, 0.95, 0.03, _INK, 0.14)
+    c.text("500 g", 0.52, 0.95, 0.03, _DARK, 0.14)
     c.rectangle(0.625, 0, 1, 1, (196, 44, 36))
     c.rectangle(0.66, 0.1, 0.965, 0.8, (250, 244, 228))
     for k in range(11):
         c.rectangle(0.69, 0.16 + 0.055 * k, 0.93 - 0.09 * (k % 3 == 1), 0.17 + 0.055 * k, (110, 104, 96))
     for k in range(22):
         c.rectangle(0.69 + 0.011 * k, 0.86, 0.69 + 0.011 * k + (0.003, 0.006, 0.002)[k % 3], 0.95, _WHITE)
-    return c.finished()
+    return c.finish()
 
 
 def _tea() -> Rgb:
@@ -204,25 +204,27 @@ def _tea() -> Rgb:
         c.polygon(
             [(0.5, 0.88), (tip[0] - 0.025, (tip[1] + 0.88) / 2), tip, (tip[0] + 0.025, (tip[1] + 0.88) / 2)], (150, 190, 90)
         )
-    return c.finished()
+    return c.finish()
 
 
 def _cardboard() -> Rgb:
-    """Repeats; the upper band is tape."""
+    """Returns a tileable cardboard texture with printed marks."""
     base = _speckled(256, 256, (184, 142, 96), 20.0, 0.06, 5).astype(np.float64)
     base *= 1.0 + 0.015 * np.sin(np.arange(256) * 2 * np.pi / 8)[None, :, None]
     c = Canvas(256, 256, (0, 0, 0))
-    c.pixels = np.asarray(cv2.resize(np.clip(base, 0, 255).astype(np.uint8), (256 * _FINE, 256 * _FINE)), dtype=np.uint8)
+    c.pixels = np.asarray(
+        cv2.resize(np.clip(base, 0, 255).astype(np.uint8), (256 * _SUPERSAMPLING, 256 * _SUPERSAMPLING)), dtype=np.uint8
+    )
     for x in (0.74, 0.86):
         c.polygon([(x - 0.035, 0.77), (x, 0.7), (x + 0.035, 0.77)], (92, 66, 42))
         c.rectangle(x - 0.012, 0.77, x + 0.012, 0.86, (92, 66, 42))
     c.rectangle(0.7, 0.885, 0.9, 0.895, (92, 66, 42))
     c.text("FRAGILE", 0.28, 0.8, 0.07, (150, 44, 34), 0.18)
-    return c.finished()
+    return c.finish()
 
 
 def _keys(rows: int, columns: float, seed: int, body: Color, key: Color, pad: bool = False) -> Rgb:
-    """Keys of a keyboard on its body; ``pad``: below them the touchpad of a laptop."""
+    """Returns a keyboard. ``pad``: add the touchpad of a laptop below the keys."""
     c = Canvas(512, 352 if pad else 160, body)
     rng = np.random.default_rng(seed)
     low = 0.62 if pad else 0.96
@@ -246,7 +248,7 @@ def _keys(rows: int, columns: float, seed: int, body: Color, key: Color, pad: bo
             x = end
     if pad:
         c.rectangle(0.32, 0.68, 0.68, 0.95, tuple(max(0, v - 18) for v in body))  # type: ignore[arg-type]
-    return c.finished()
+    return c.finish()
 
 
 def _screen() -> Rgb:
@@ -254,7 +256,7 @@ def _screen() -> Rgb:
     sky = np.array((58, 96, 150)) * (1 - y) + np.array((228, 170, 140)) * y
     c = Canvas(384, 240, (0, 0, 0))
     picture = np.broadcast_to(sky, (240, 384, 3)).astype(np.uint8)
-    c.pixels = np.asarray(cv2.resize(picture, (384 * _FINE, 240 * _FINE)), dtype=np.uint8)
+    c.pixels = np.asarray(cv2.resize(picture, (384 * _SUPERSAMPLING, 240 * _SUPERSAMPLING)), dtype=np.uint8)
     c.disc(0.68, 0.52, 0.09, (252, 226, 190))
     for shift, tone in ((0.0, (92, 96, 130)), (0.12, (62, 70, 104)), (0.24, (34, 42, 70))):
         x = np.linspace(0, 1, 60)
@@ -263,7 +265,7 @@ def _screen() -> Rgb:
     c.rectangle(0, 0.93, 1, 1, (28, 30, 38))
     for k in range(6):
         c.rectangle(0.36 + 0.05 * k, 0.945, 0.385 + 0.05 * k, 0.985, ((220, 90, 70), (90, 170, 220), (240, 200, 80))[k % 3])
-    return c.finished()
+    return c.finish()
 
 
 def _clock() -> Rgb:
@@ -272,17 +274,17 @@ def _clock() -> Rgb:
         angle = 2 * np.pi * k / 60
         inner = 0.40 if k % 5 == 0 else 0.435
         ends = [(0.5 + r * np.sin(angle), 0.5 - r * np.cos(angle)) for r in (inner, 0.46)]
-        c.line(ends, 0.014 if k % 5 == 0 else 0.006, _INK)
+        c.line(ends, 0.014 if k % 5 == 0 else 0.006, _DARK)
     for number, (dx, dy) in {"12": (0, -1), "3": (1, 0), "6": (0, 1), "9": (-1, 0)}.items():
-        c.text(number, 0.5 + 0.32 * dx, 0.5 + 0.32 * dy, 0.08, _INK, 0.16)
+        c.text(number, 0.5 + 0.32 * dx, 0.5 + 0.32 * dy, 0.08, _DARK, 0.16)
     for angle, reach, width in ((-0.96, 0.22, 0.03), (0.87, 0.33, 0.02)):
-        c.line([(0.5, 0.5), (0.5 + reach * np.sin(angle), 0.5 - reach * np.cos(angle))], width, _INK)
+        c.line([(0.5, 0.5), (0.5 + reach * np.sin(angle), 0.5 - reach * np.cos(angle))], width, _DARK)
     c.disc(0.5, 0.5, 0.03, (196, 60, 44))
-    return c.finished()
+    return c.finish()
 
 
 def directions(width: int, height: int) -> NDArray[np.float64]:
-    """Returns the unit direction of each pixel of an equirectangular picture, (height, width, 3), the top row upwards."""
+    """Returns the unit direction of each pixel of an equirectangular image, (height, width, 3); the top row points up."""
     longitude = (np.arange(width) + 0.5) / width * 2 * np.pi
     latitude = np.pi / 2 - (np.arange(height) + 0.5) / height * np.pi
     ring = np.cos(latitude)[:, None]
@@ -290,7 +292,7 @@ def directions(width: int, height: int) -> NDArray[np.float64]:
 
 
 def _football() -> Rgb:
-    """Twelve dark pentagons, around the corners of an icosahedron, among white hexagons."""
+    """Returns a football: dark pentagons at the twelve corners of an icosahedron, and white hexagons."""
     golden = (1 + 5**0.5) / 2
     corners = np.array([(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)], dtype=float)
     corners = np.concatenate([np.roll(corners, k, axis=1) for k in range(3)]) / np.hypot(1, golden)
@@ -299,7 +301,7 @@ def _football() -> Rgb:
     middles /= np.linalg.norm(middles, axis=1, keepdims=True)
     at = directions(1024, 512)
     to_five, to_six = np.sort(at @ corners.T, axis=2), np.sort(at @ middles.T, axis=2)
-    # The edge between a hexagon and a pentagon is at equal distances, weighted by the angular size of each.
+    # A pixel belongs to the pentagon or hexagon with the smaller angular distance, less an offset for their sizes.
     dark = np.arccos(to_five[..., -1].clip(-1, 1)) < np.arccos(to_six[..., -1].clip(-1, 1)) - 0.085
     seam = (np.arccos(to_six[..., -2].clip(-1, 1)) - np.arccos(to_six[..., -1].clip(-1, 1)) < 0.028) & ~dark
     picture = np.full((512, 1024, 3), (240, 240, 236), dtype=np.uint8)
@@ -336,7 +338,7 @@ def _orange() -> Rgb:
 
 
 def _wicker() -> Rgb:
-    """Repeats: strands over and under."""
+    """Returns a tileable weave texture."""
     y, x = np.mgrid[0:128, 0:128] / 128.0
     over = (np.floor(x * 8) + np.floor(y * 16)) % 2
     across = np.abs(np.sin(np.pi * y * 16)) ** 0.6 * (0.75 + 0.25 * np.abs(np.sin(np.pi * x * 8)))
@@ -346,7 +348,7 @@ def _wicker() -> Rgb:
 
 
 def _vase() -> Rgb:
-    """From the foot (below) to the rim."""
+    """Returns the glaze of a vase, the foot at the bottom and the rim at the top."""
     y = np.linspace(0, 1, 256)[:, None]
     wave = 0.02 * noise(512, 256, (3.0, 1.0), 21, 2)
     share = (1 / (1 + np.exp((y - 0.52 + wave) * 60)))[..., None]
@@ -355,7 +357,7 @@ def _vase() -> Rgb:
 
 
 def _dial() -> Rgb:
-    """The front of an oven above its door: a display and marks for the knobs."""
+    """Returns the control panel of an oven: a display and marks for the knobs."""
     c = Canvas(512, 96, (46, 48, 52))
     c.rectangle(0.4, 0.22, 0.6, 0.78, (8, 10, 12))
     c.text("12:30", 0.5, 0.5, 0.3, (96, 220, 210), 0.14)
@@ -364,7 +366,7 @@ def _dial() -> Rgb:
             angle = k * 0.55
             ends = [(x + r * np.sin(angle) * 0.1875, 0.5 - r * np.cos(angle)) for r in (0.36, 0.42)]
             c.line(ends, 0.02, (214, 214, 214))
-    return c.finished()
+    return c.finish()
 
 
 PICTURES: dict[str, Callable[[], Rgb]] = {
@@ -394,4 +396,4 @@ PICTURES: dict[str, Callable[[], Rgb]] = {
     "wood_walnut": lambda: _wood((122, 82, 54), (92, 60, 38), 41),
     "wood_beech": lambda: _wood((224, 188, 144), (200, 158, 112), 51),
 }
-"""Name -> function that draws the picture, (H, W, 3) uint8 sRGB."""
+"""Functions that draw each picture, (H, W, 3) uint8 sRGB, by name."""

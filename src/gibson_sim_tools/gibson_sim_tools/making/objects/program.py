@@ -1,4 +1,4 @@
-"""Makes ``scenes/objects``: draws the textures, runs Blender in a separate process for the meshes, writes URDFs and the licence."""
+"""Generates ``scenes/objects``: draws textures, runs Blender in a separate process for the meshes, writes URDFs and the licence."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from gibson_sim_tools.making.objects.pictures import PICTURES, write_pictures
 from gibson_sim_tools.making.objects.urdf import object_urdf
 
 Progress = Callable[[str], None]
+"""Callback; receives one line of text."""
 LICENCE = """\
 All files in this folder (URDFs, meshes and the pictures in them) were made by the authors of Gibson Sim with `gibson-sim scene objects`.
 
@@ -31,42 +32,42 @@ _MODULE = "gibson_sim_tools.making.blender.objects"
 
 
 def make_objects(names: Sequence[str], output: Path, blender_python: str, progress: Progress) -> None:
-    """Writes objects to ``output``, a folder for each.
+    """Writes objects to ``output``, one folder for each.
 
     Args:
-        names: which; none = all.
-        output: the folder.
-        blender_python: a Python in which ``import bpy`` works.
-        progress: called with one line per mesh.
+        names: names of the objects; empty = all.
+        output: parent folder.
+        blender_python: Python interpreter in which ``import bpy`` works.
+        progress: called with one line for each mesh.
 
     Raises:
         GibsonSimError: a name is unknown, or Blender is missing or fails.
     """
-    models = chosen(names)
+    models = select_objects(names)
     if shutil.which(blender_python) is None:
-        raise GibsonSimError(f"{blender_python} cannot be run: there is no such program; {_HINT}")
+        raise GibsonSimError(f"{blender_python} cannot be run: the program does not exist; {_HINT}")
     with tempfile.TemporaryDirectory(prefix="gibson_sim_objects_") as folder:
         write_pictures(Path(folder), list(PICTURES))
-        _model(models, Path(folder), output, blender_python, progress)
+        _run_blender(models, Path(folder), output, blender_python, progress)
     for model in models:
         write_file(output / model.name / f"{model.name}.urdf", object_urdf(model))
     write_file(output / "LICENSE", LICENCE)
 
 
-def chosen(names: Sequence[str]) -> list[ObjectModel]:
-    """Returns the objects of these names; no names = all.
+def select_objects(names: Sequence[str]) -> list[ObjectModel]:
+    """Returns the objects with these names; all without names.
 
     Raises:
         GibsonSimError: a name is unknown.
     """
     for name in names:
         if name not in OBJECTS:
-            raise GibsonSimError(f"there is no object {name!r}; known: {', '.join(OBJECTS)}")
+            raise GibsonSimError(f"object {name!r} is unknown; known: {', '.join(OBJECTS)}")
     return [model for model in OBJECTS.values() if not names or model.name in names]
 
 
-def _model(models: Sequence[ObjectModel], pictures: Path, output: Path, blender_python: str, progress: Progress) -> None:
-    """Runs Blender."""
+def _run_blender(models: Sequence[ObjectModel], pictures: Path, output: Path, blender_python: str, progress: Progress) -> None:
+    """Runs Blender on the models; reports each mesh."""
     command = [blender_python, "-m", _MODULE, str(pictures), str(output.absolute()), *(model.name for model in models)]
     environment = {**os.environ, "PYTHONPATH": package_path(), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
@@ -80,8 +81,8 @@ def _model(models: Sequence[ObjectModel], pictures: Path, output: Path, blender_
     with process:
         for line in process.stdout:
             if line.startswith("{"):
-                made = json.loads(line)
-                progress(f"{made['object']}: {made['file']}, {made['triangles']} triangles")
+                message = json.loads(line)
+                progress(f"{message['object']}: {message['file']}, {message['triangles']} triangles")
             last = line.strip() or last
     if process.returncode:
         missing = "No module named 'bpy'" in last
@@ -89,5 +90,5 @@ def _model(models: Sequence[ObjectModel], pictures: Path, output: Path, blender_
 
 
 def default_blender_python() -> str:
-    """Returns the default interpreter for Blender: this one."""
+    """Returns the default Python interpreter for Blender: the current one."""
     return sys.executable

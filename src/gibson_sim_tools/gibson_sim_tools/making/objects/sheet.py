@@ -24,21 +24,21 @@ Rgb = NDArray[np.uint8]
 _FOV = math.radians(26.0)
 _ELEVATION, _AZIMUTH = math.radians(24.0), math.radians(32.0)
 _FLOOR = (0.74, 0.74, 0.73, 1.0)
-_OPEN = 0.36
-"""Position of joints, as a fraction of their range."""
+_JOINT_FRACTION = 0.36
+"""Position of joints, as a fraction of their upper limit."""
 _LIGHT = LightSpec(
     sun_direction=(-0.55, 0.42, -1.0), sun=0.62, ambient=0.36, background=(0.80, 0.81, 0.82), shadows=True, sun_color=(1.0, 0.97, 0.92)
 )  # fmt: skip
 
 
 def sheet(folder: Path, models: Sequence[ObjectModel], tile: int = 160, columns: int = 7) -> Rgb:
-    """Returns the pictures of objects in rows, (H, W, 3) uint8 sRGB, joints partly open.
+    """Renders objects, their joints partly open, on one sheet, (H, W, 3) uint8 sRGB.
 
     Args:
-        folder: of the objects (``scenes/objects``).
-        models: which.
+        folder: folder of the objects (``scenes/objects``).
+        models: objects to render.
         tile: edge of one picture, pixels.
-        columns: pictures in a row.
+        columns: number of pictures per row.
     """
     pictures = [picture(folder, model, tile) for model in models]
     while len(pictures) % columns:
@@ -48,13 +48,13 @@ def sheet(folder: Path, models: Sequence[ObjectModel], tile: int = 160, columns:
 
 
 def picture(folder: Path, model: ObjectModel, tile: int) -> Rgb:
-    """Returns a picture of one object, (tile, tile, 3) uint8 sRGB."""
+    """Renders one object, (tile, tile, 3) uint8 sRGB."""
     body = load_spawnable(str(folder / model.name), "", name="thing", pose=Pose())
     assert isinstance(body, BodySpec)
-    share = {joint.name: _OPEN * (1.0 if index % 2 == 0 else 0.5) for index, joint in enumerate(model.joints)}
-    joints = tuple((joint.name, share[joint.name] * joint.upper) for joint in model.joints if joint.kind != "fixed")
+    fractions = {joint.name: _JOINT_FRACTION * (1.0 if index % 2 == 0 else 0.5) for index, joint in enumerate(model.joints)}
+    joints = tuple((joint.name, fractions[joint.name] * joint.upper) for joint in model.joints if joint.kind != "fixed")
     size = float(np.linalg.norm(model.size))
-    # As small as possible: the resolution of shadows depends on the size of the scene.
+    # Small, since the resolution of shadows depends on the size of the scene.
     floor = VisualSpec("floor", "", Shape("cylinder", (7.0 * size, 0.1 * size, 0.0)), Pose((0.0, 0.0, -0.05 * size)), _FLOOR)
     lamp = PointLight((1.2 * size, -1.6 * size, 1.6 * size), (1.0, 1.0, 1.0), 0.10 * size * size)
     sun = (-0.5, -0.62, -1.0) if model.built_in else _LIGHT.sun_direction
@@ -68,13 +68,15 @@ def picture(folder: Path, model: ObjectModel, tile: int) -> Rgb:
     return np.asarray(cv2.resize(frame.rgb, (tile, tile), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _eye(middle: NDArray[np.float64], across: float, front: float) -> Pose:
-    """Returns T_world_optical of a camera that frames a sphere of diameter ``across``; ``front``: 1 = from +x, -1 = from +y."""
+def _eye(middle: NDArray[np.float64], diameter: float, front: float) -> Pose:
+    """Returns T_world_optical of a camera that frames a sphere of ``diameter`` (m). ``front``: 1 = from +x, -1 = from +y."""
     azimuth = _AZIMUTH if front > 0 else math.radians(88.0)
-    away = np.array([math.cos(_ELEVATION) * math.cos(azimuth), math.cos(_ELEVATION) * math.sin(azimuth), math.sin(_ELEVATION)])
-    distance = 0.56 * across / math.tan(_FOV / 2)
-    forward, right = -away, np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    backward = np.array(
+        [math.cos(_ELEVATION) * math.cos(azimuth), math.cos(_ELEVATION) * math.sin(azimuth), math.sin(_ELEVATION)]
+    )
+    distance = 0.56 * diameter / math.tan(_FOV / 2)
+    forward, right = -backward, np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    matrix[:3, 3] = middle + away * distance
+    matrix[:3, 3] = middle + backward * distance
     return pose_from_matrix(matrix)

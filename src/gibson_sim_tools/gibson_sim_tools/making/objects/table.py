@@ -1,4 +1,4 @@
-"""Makes the table of objects in docs/objects.md."""
+"""Writes the table of objects in docs/objects.md."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 from gibson_sim_tools.making.objects.model import ObjectJoint, ObjectModel
 
-_HEAD = "| object | class | depth x width x height, m | mass, kg | joints |\n|---|---|---|---|---|"
+_HEADER = "| object | class | depth x width x height, m | mass, kg | joints |\n|---|---|---|---|---|"
 
 
 def objects_table(models: Sequence[ObjectModel]) -> str:
-    """Returns names, classes, sizes, masses and joints in Markdown."""
-    return "\n".join([_HEAD, *(_row(model) for model in models)])
+    """Returns a Markdown table of names, classes, sizes, masses and joints."""
+    return "\n".join([_HEADER, *(_row(model) for model in models)])
 
 
 def _row(model: ObjectModel) -> str:

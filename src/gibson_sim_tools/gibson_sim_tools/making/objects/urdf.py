@@ -1,4 +1,4 @@
-"""Makes the URDF of an object. Pure."""
+"""Generates the URDF of an object. Pure functions."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import xml.etree.ElementTree as ET
 from gibson_sim_tools.making.objects.model import ObjectJoint, ObjectLink, ObjectModel, Primitive, mass_properties
 
 _EFFORT, _SPEED = "100", "10"
-"""Effort and velocity limits of joints, which URDF requires; no joint has a motor."""
+"""Effort and velocity limits of joints, required by URDF; no joint has a motor."""
 
 
 def object_urdf(model: ObjectModel) -> str:
-    """Returns the text of the URDF, which refers to one mesh per link in its folder (see ``mesh_name``)."""
+    """Returns the text of the URDF; it refers to one mesh per link in the same folder (see ``mesh_name``)."""
     # The name of the model is its semantic class in images.
     robot = ET.Element("robot", name=model.semantic_class)
     for link in model.links:

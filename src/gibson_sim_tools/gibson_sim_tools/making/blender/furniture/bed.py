@@ -1,16 +1,16 @@
-"""Beds. NumPy only."""
+"""Models beds. NumPy only."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from gibson_sim_tools.making.blender.appearances import surface_of, vary_color
 from gibson_sim_tools.making.blender.furniture.living import WOODS, choose, legs
-from gibson_sim_tools.making.blender.looks import look, varied
-from gibson_sim_tools.making.blender.shapes import ObjectBuilder, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, pose_matrix
 
 
 def bed(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A bed with headboard (at the back), mattress, duvet and pillows."""
+    """Adds a bed with headboard (at the back), mattress, duvet and pillows."""
     frame = choose(s, (*WOODS, "fabric_grey", "fabric_beige"))
     back, base = -d / 2 + 0.07, 0.30
     if frame.material == "fabric":
@@ -18,22 +18,24 @@ def bed(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     else:
         s.box((-d / 2, -w / 2, 0.0), (back, w / 2, h), frame, 0.012, "-x -z")
     s.box((back, -w / 2, 0.10), (d / 2, w / 2, base), frame, 0.01, "-x -z +z")
-    legs(s, d, w, 0.1, look("wood_black"), 0.025, 0.1)
+    legs(s, d, w, 0.1, surface_of("wood_black"), 0.025, 0.1)
     top = 0.52
-    s.cushion((back, -w / 2 + 0.03, base - 0.04), (d / 2 - 0.03, w / 2 - 0.03, top), look("linen", (0.92, 0.91, 0.89)), 14, 6)
+    s.cushion(
+        (back, -w / 2 + 0.03, base - 0.04), (d / 2 - 0.03, w / 2 - 0.03, top), surface_of("linen", (0.92, 0.91, 0.89)), 14, 6
+    )
     _duvet(s, (back + 0.62, d / 2 - 0.005), w / 2, top)
     count = 2 if w > 1.3 else 1
     for k in range(count):
         for level in range(2):
             first = len(s.parts)
-            tone = varied((0.92, 0.91, 0.88), s.rng, 0.02) if level == 0 else varied((0.74, 0.76, 0.76), s.rng, 0.06)
+            tone = vary_color((0.92, 0.91, 0.88), s.rng, 0.02) if level == 0 else vary_color((0.74, 0.76, 0.76), s.rng, 0.06)
             wide = 0.33 if level == 0 else 0.27
-            part = s.cushion((-0.09, -wide, -0.2), (0.09, wide, 0.2), look("linen", tone), 2.8, 8, noise=0.012)
+            part = s.cushion((-0.09, -wide, -0.2), (0.09, wide, 0.2), surface_of("linen", tone), 2.8, 8, noise=0.012)
             part.vertices[:, 0] *= 1.0 - 0.45 * (np.abs(part.vertices[:, 1]) / wide * np.abs(part.vertices[:, 2]) / 0.2)
             y = (k - (count - 1) / 2) * w * 0.47 + s.rng.uniform(-0.03, 0.03)
-            s.turned(
+            s.transform(
                 first,
-                placed(
+                pose_matrix(
                     (back + 0.17 + 0.17 * level, y, top + 0.17 - 0.03 * level), s.rng.uniform(-0.08, 0.08), -0.75 + 0.1 * level
                 ),
             )
@@ -42,7 +44,7 @@ def bed(s: ObjectBuilder, d: float, w: float, h: float) -> None:
 
 
 def _duvet(s: ObjectBuilder, along: tuple[float, float], half: float, top: float) -> None:
-    """A blanket that lies on the bed and hangs over its sides in soft folds."""
+    """Adds a duvet that covers the bed and hangs over its sides in soft folds."""
     names = ("fabric_blue", "fabric_beige", "linen", "fabric_striped", "fabric_green", "fabric_grey")
     cloth = choose(s, names)
     nx, ny = 22, 30

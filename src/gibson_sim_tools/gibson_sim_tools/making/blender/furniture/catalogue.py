@@ -1,7 +1,7 @@
 """Builds furniture of each kind in the catalogue. NumPy only.
 
-Each function gets a solid and the size of the piece, depth (x, front at +x), width (y), height (z), and fills just that size; the origin lies in
-the middle of the underside.
+Each function gets a builder and the size of the piece: depth (x, front at +x), width (y), height (z), metres. The piece fills exactly this size;
+the origin is the centre of its underside.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ BUILDERS: dict[str, Builder] = {
 
 
 def build_piece(kind: str, size: Vec3, seed: int, style: int = 0) -> ObjectBuilder:
-    """Returns a piece of furniture; equal seed and style give an equal piece.
+    """Models a piece of furniture; deterministic for a seed and a style.
 
     Raises:
-        KeyError: there is no such kind.
+        KeyError: the kind is unknown.
     """
     solid = ObjectBuilder(np.random.default_rng(seed), style)
     BUILDERS[kind](solid, *size)

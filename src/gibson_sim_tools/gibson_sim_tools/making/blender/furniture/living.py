@@ -1,4 +1,4 @@
-"""Furniture of living rooms. NumPy only."""
+"""Models furniture of living rooms. NumPy only."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
-from gibson_sim_tools.making.blender.looks import LOOKS, look, varied, vivid
-from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, SurfacePart, placed
+from gibson_sim_tools.making.blender.appearances import APPEARANCES, sample_vivid_color, surface_of, vary_color
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, SurfacePart, pose_matrix
 
 _FABRICS = ("fabric_grey", "fabric_beige", "fabric_blue", "fabric_green", "fabric_grey", "leather_brown")
 WOODS = ("wood_oak", "wood_walnut", "wood_white", "wood_oak", "wood_pine")
@@ -16,11 +16,11 @@ WOODS = ("wood_oak", "wood_walnut", "wood_white", "wood_oak", "wood_pine")
 def choose(s: ObjectBuilder, names: tuple[str, ...]) -> Surface:
     """Returns the surface of a random name, with a slight colour variation."""
     name = names[int(s.rng.integers(len(names)))]
-    return look(name, varied(LOOKS[name][1], s.rng, 0.04))
+    return surface_of(name, vary_color(APPEARANCES[name][1], s.rng, 0.04))
 
 
 def legs(s: ObjectBuilder, d: float, w: float, h: float, surface: Surface, radius: float = 0.018, inset: float = 0.05) -> None:
-    """Adds four legs that stand a little outwards."""
+    """Adds four slightly splayed legs."""
     for x in (-1, 1):
         for y in (-1, 1):
             top = np.array([x * (d / 2 - inset - 0.03), y * (w / 2 - inset - 0.03), h])
@@ -29,10 +29,10 @@ def legs(s: ObjectBuilder, d: float, w: float, h: float, surface: Surface, radiu
 
 
 def sofa(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A sofa of two or three seats with loose cushions."""
+    """Adds a sofa of two or three seats with loose cushions."""
     cloth, foot, arm = choose(s, _FABRICS), 0.12, 0.16 + 0.06 * s.rng.random()
     seat = 0.42
-    legs(s, d, w, foot + 0.02, look("wood_oak"), inset=0.08)
+    legs(s, d, w, foot + 0.02, surface_of("wood_oak"), inset=0.08)
     s.cushion((-d / 2, -w / 2, foot), (d / 2 - 0.02, w / 2, seat - 0.12), cloth, 12)
     s.cushion((-d / 2, -w / 2 + arm * 0.9, foot + 0.05), (-d / 2 + 0.22, w / 2 - arm * 0.9, h - 0.03), cloth, 8)
     for side in (-1, 1):
@@ -43,7 +43,7 @@ def sofa(s: ObjectBuilder, d: float, w: float, h: float) -> None:
         s.cushion((-d / 2 + 0.18, low + 0.004, seat - 0.13), (d / 2 - 0.01, high - 0.004, seat + 0.03), cloth, 6, 6, noise=0.006)
         first = len(s.parts)
         s.cushion((-0.09, low + 0.006, -0.19), (0.09, high - 0.006, 0.23), cloth, 4.5, 8, noise=0.012)
-        s.turned(first, placed((-d / 2 + 0.27, 0, h - 0.25), pitch=-0.2))
+        s.transform(first, pose_matrix((-d / 2 + 0.27, 0, h - 0.25), pitch=-0.2))
     for side in (-1, 1):
         if s.rng.random() < 0.85:
             loose_cushion(s, (-d / 2 + 0.40, side * (w / 2 - arm - 0.23), seat + 0.21), s.rng.uniform(-0.5, 0.5), -0.35)
@@ -58,38 +58,38 @@ def _seat_boxes(s: ObjectBuilder, d: float, w: float, h: float, arm: float) -> N
 
 
 def loose_cushion(s: ObjectBuilder, at: tuple[float, float, float], yaw: float, pitch: float) -> None:
-    """A throw cushion that leans."""
+    """Adds a throw cushion that leans."""
     first, half = len(s.parts), 0.2 + 0.03 * s.rng.random()
     material = ("fabric_striped", "linen", "fabric_red", "fabric_green", "fabric_blue")[int(s.rng.integers(5))]
-    part = s.cushion((-0.075, -half, -half), (0.075, half, half), look(material), 2.6, 8, noise=0.01)
+    part = s.cushion((-0.075, -half, -half), (0.075, half, half), surface_of(material), 2.6, 8, noise=0.01)
     # The corners of a cushion are thin and pointed.
     square = (np.abs(part.vertices[:, 1:]) / half).min(axis=1)
     part.vertices[:, 0] *= 1.0 - 0.5 * square**2
-    s.turned(first, placed(at, yaw, pitch))
+    s.transform(first, pose_matrix(at, yaw, pitch))
 
 
 def armchair(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """An armchair."""
+    """Adds an armchair."""
     cloth = choose(s, _FABRICS)
-    legs(s, d, w, 0.17, look("wood_walnut"), 0.02, 0.07)
+    legs(s, d, w, 0.17, surface_of("wood_walnut"), 0.02, 0.07)
     s.cushion((-d / 2, -w / 2, 0.15), (d / 2 - 0.03, w / 2, 0.32), cloth, 9)
     for side in (-1, 1):
         s.cushion((-d / 2, side * w / 2, 0.15), (d / 2 - 0.04, side * (w / 2 - 0.12), 0.58), cloth, 5)
     s.cushion((-d / 2 + 0.1, -w / 2 + 0.125, 0.29), (d / 2, w / 2 - 0.125, 0.46), cloth, 5, 8, noise=0.006)
     first = len(s.parts)
     s.cushion((-0.1, -w / 2 + 0.1, -0.3), (0.1, w / 2 - 0.1, 0.3), cloth, 4, 8, noise=0.008)
-    s.turned(first, placed((-d / 2 + 0.16, 0, h - 0.31), pitch=-0.12))
+    s.transform(first, pose_matrix((-d / 2 + 0.16, 0, h - 0.31), pitch=-0.12))
     loose_cushion(s, (-d / 2 + 0.33, s.rng.uniform(-0.06, 0.06), 0.63), 0.1, -0.3)
     _seat_boxes(s, d, w, h, 0.12)
 
 
 def table(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A table with four legs and a frame, or with a round foot."""
+    """Adds a table with four legs and a frame, or with a round foot."""
     wood = choose(s, WOODS)
     thick = 0.028
     s.box((-d / 2, -w / 2, h - thick), (d / 2, w / 2, h), wood, 0.006, solid=True)
     if h < 0.5:
-        legs(s, d, w, h - thick, look("metal_black") if s.rng.random() < 0.4 else wood, 0.016, 0.06)
+        legs(s, d, w, h - thick, surface_of("metal_black") if s.rng.random() < 0.4 else wood, 0.016, 0.06)
         s.box((-d / 2 + 0.1, -w / 2 + 0.1, h * 0.36), (d / 2 - 0.1, w / 2 - 0.1, h * 0.36 + 0.015), wood)
         magazines(s, (0.0, s.rng.uniform(-0.2, 0.2), h * 0.36 + 0.015))
     else:
@@ -113,12 +113,12 @@ def table(s: ObjectBuilder, d: float, w: float, h: float) -> None:
 
 
 def magazines(s: ObjectBuilder, at: tuple[float, float, float]) -> None:
-    """A few magazines on top of each other."""
+    """Adds a small stack of magazines."""
     z = at[2]
     for _ in range(int(s.rng.integers(2, 5))):
         first, thick = len(s.parts), s.rng.uniform(0.004, 0.012)
-        s.box((-0.105, -0.145, 0), (0.105, 0.145, thick), look("paper", vivid(s.rng)), 0.001)
-        s.turned(first, placed((at[0], at[1], z), s.rng.uniform(-0.3, 0.3)))
+        s.box((-0.105, -0.145, 0), (0.105, 0.145, thick), surface_of("paper", sample_vivid_color(s.rng)), 0.001)
+        s.transform(first, pose_matrix((at[0], at[1], z), s.rng.uniform(-0.3, 0.3)))
         z += thick
 
 
@@ -151,7 +151,7 @@ def fronts(
 def bar(
     s: ObjectBuilder, ends: list[tuple[float, float, float]], surface: Surface, out: float = 0.02, radius: float = 0.005
 ) -> None:
-    """A bar handle that stands out by ``out`` along x."""
+    """Adds a bar handle that protrudes by ``out`` (m) along x."""
     (x, y0, z0), (_, y1, z1) = ends
     y, z = 0.12 * (y1 - y0), 0.12 * (z1 - z0)
     path = [(x, y0 + y, z0 + z), (x + out, y0 + y, z0 + z), (x + out, y1 - y, z1 - z), (x, y1 - y, z1 - z)]
@@ -161,14 +161,14 @@ def bar(
 
 
 def cabinet(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A cabinet with drawers or doors; low ones stand on legs."""
+    """Adds a cabinet with drawers or doors; low ones have legs."""
     wood = choose(s, WOODS)
-    front = wood if s.rng.random() < 0.6 else look("wood_white")
-    handle = look("metal_black") if s.rng.random() < 0.5 else look("metal_brass")
+    front = wood if s.rng.random() < 0.6 else surface_of("wood_white")
+    handle = surface_of("metal_black") if s.rng.random() < 0.5 else surface_of("metal_brass")
     foot = 0.12 if h < 0.62 and w > 1.0 else 0.05
     inner = d / 2 - 0.038
     if foot > 0.1:
-        legs(s, d, w, foot + 0.02, look("wood_walnut"), 0.016, 0.08)
+        legs(s, d, w, foot + 0.02, surface_of("wood_walnut"), 0.016, 0.08)
     else:
         s.box((-d / 2 + 0.02, -w / 2 + 0.02, 0), (inner - 0.03, w / 2 - 0.02, foot), wood, 0.001, "+z -z -x")
     s.box((-d / 2, -w / 2, foot), (inner, w / 2, h - 0.02), wood, 0.002, "-x +x -z +z")
@@ -181,17 +181,17 @@ def cabinet(s: ObjectBuilder, d: float, w: float, h: float) -> None:
 
 
 def wardrobe(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A wardrobe with doors."""
+    """Adds a wardrobe with doors."""
     wood = choose(s, ("wood_white", "wood_oak", "wood_walnut", "wood_white"))
     inner = d / 2 - 0.04
     s.box((-d / 2 + 0.02, -w / 2 + 0.01, 0), (inner - 0.02, w / 2 - 0.01, 0.07), wood, 0.001, "+z -z -x")
     s.box((-d / 2, -w / 2, 0.07), (inner, w / 2, h), wood, 0.003, "-x +x -z")
     columns = max(2, 2 * round(w / 1.0))
-    fronts(s, inner, (-w / 2, 0.07), (w / 2, h), columns, 1, wood, look("metal_steel"))
+    fronts(s, inner, (-w / 2, 0.07), (w / 2, h), columns, 1, wood, surface_of("metal_steel"))
 
 
 def bookshelf(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A bookshelf full of books and some other things."""
+    """Adds a bookshelf full of books."""
     wood, t = choose(s, WOODS), 0.022
     columns = max(1, round(w / 0.8))
     rows = max(4, round(h / 0.36))
@@ -209,7 +209,7 @@ def bookshelf(s: ObjectBuilder, d: float, w: float, h: float) -> None:
 
 
 def _books(s: ObjectBuilder, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
-    """Fills a compartment: books upright, some lying, gaps."""
+    """Fills a compartment with books: most upright, some lying, with gaps."""
     y, clear = low[1] + s.rng.uniform(0, 0.03), high[2] - low[2]
     stop = high[1] - (s.rng.uniform(0, 0.25) * (high[1] - low[1]) if s.rng.random() < 0.6 else 0.0)
     while y < stop - 0.05:
@@ -234,40 +234,44 @@ def _books(s: ObjectBuilder, low: tuple[float, float, float], high: tuple[float,
 
 def _book(s: ObjectBuilder, low: tuple[float, ...], high: tuple[float, ...]) -> None:
     kind = s.rng.random()
-    color = vivid(s.rng, (0.0, 0.25), (0.55, 0.92)) if kind < 0.4 else vivid(s.rng, (0.3, 0.75), (0.18, 0.7))
-    part = s.box(low, high, look("paper", color), 0, "-x -y -z")
+    color = (
+        sample_vivid_color(s.rng, (0.0, 0.25), (0.55, 0.92))
+        if kind < 0.4
+        else sample_vivid_color(s.rng, (0.3, 0.75), (0.18, 0.7))
+    )
+    part = s.box(low, high, surface_of("paper", color), 0, "-x -y -z")
     part.importance[part.chart == 2] *= 0.35
 
 
 def plant(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A plant in a pot: a rubber tree, a palm or something bushy."""
+    """Adds a potted plant with leaves along a stem, or with long leaves."""
     radius, pot = min(d, w) * 0.34, h * s.rng.uniform(0.2, 0.27)
     shade = choose(s, ("plaster_white", "concrete", "tile_terracotta", "metal_black"))
     outer = Surface("plain", shade.tint)
     s.lathe((0, 0, 0), [(0, 0), (radius * 0.72, 0), (radius, pot), (radius * 0.9, pot), (radius * 0.86, pot * 0.88)], outer, 18)
-    s.lathe((0, 0, 0), [(radius * 0.88, pot * 0.88), (0, pot * 0.9)], look("soil"), 12)
+    s.lathe((0, 0, 0), [(radius * 0.88, pot * 0.88), (0, pot * 0.9)], surface_of("soil"), 12)
     s.collide((-radius, -radius, 0), (radius, radius, h * 0.6))
-    base = LOOKS["leaves"][1]
+    base = APPEARANCES["leaves"][1]
     reach, style = min(d, w) / 2, s.rng.random()
     count = int(46 + 30 * s.rng.random())
     golden = 2.39996
     for k in range(count):
         level = (k + 0.5) / count
         angle = k * golden + s.rng.uniform(-0.3, 0.3)
-        if style < 0.5:  # a stem with leaves all along
+        if style < 0.5:  # stem with leaves along its length
             root = np.array([0.02 * np.cos(angle), 0.02 * np.sin(angle), pot + (h * 0.93 - pot) * (0.15 + 0.8 * level)])
             length, droop, wide = h * 0.17 * (1.25 - 0.5 * level), 0.35 - 0.5 * level, 0.42
-        else:  # long leaves out of the pot
+        else:  # long leaves from the pot
             root = np.array([0.04 * np.cos(angle), 0.04 * np.sin(angle), pot * 0.9])
             length, droop, wide = (h - pot) * s.rng.uniform(0.65, 1.0), 0.5 - 1.0 * level, 0.11
-        _leaf(s, root, angle, length, droop, wide, reach, h, look("leaves", varied(base, s.rng, 0.09), 0.7))
+        _leaf(s, root, angle, length, droop, wide, reach, h, surface_of("leaves", vary_color(base, s.rng, 0.09), 0.7))
     if style < 0.5:
         sway = s.rng.uniform(-0.03, 0.03, 2)
         path = [
             (sway[0] * t * (1 - t) * 4, sway[1] * t * (1 - t) * 4, pot * 0.85 + (h * 0.93 - pot * 0.85) * t)
             for t in np.linspace(0, 1, 6)
         ]
-        s.tube(path, np.linspace(0.016, 0.006, 6), look("wood_walnut"), 6)
+        s.tube(path, np.linspace(0.016, 0.006, 6), surface_of("wood_walnut"), 6)
 
 
 def _leaf(
@@ -281,7 +285,7 @@ def _leaf(
     top: float,
     surface: Surface,
 ) -> SurfacePart:
-    """A leaf that bends under its weight, kept within ``reach`` of the middle and below ``top``."""
+    """Adds a leaf that bends under its weight, within ``reach`` (m) of the axis and below ``top`` (m)."""
     t = np.linspace(0, 1, 6)
     rise = (1.1 - abs(droop)) * t - (0.55 + droop) * t**2
     out = np.minimum(length * (0.55 + 0.45 * (droop > 0)) * t, reach - 0.02)
@@ -298,20 +302,20 @@ def _leaf(
 
 
 def rug(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A rug with a border."""
-    color = varied(
+    """Adds a rug with a border."""
+    color = vary_color(
         [(0.62, 0.28, 0.22), (0.72, 0.66, 0.56), (0.32, 0.38, 0.46), (0.55, 0.54, 0.50)][int(s.rng.integers(4))], s.rng, 0.05
     )
     part = s.box((-d / 2, -w / 2, 0), (d / 2, w / 2, h), Surface("rug", color, 1.0), 0.003, "-z")
-    # The pattern needs each point's distance from the edges: -1 to 1 across, and metres along.
+    # The pattern needs normalised coordinates, -1 to 1 between the edges.
     part.pattern = part.vertices[part.triangles] / np.array([d / 2, w / 2, 1.0]) + np.array([0, 0, float(s.rng.integers(3))])
     s.collide((-0.01, -0.01, 0), (0.01, 0.01, 0.001))
 
 
 def curtain(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A curtain in folds on a rod."""
+    """Adds a curtain in folds on a rod."""
     names = ("linen", "fabric_beige", "fabric_grey", "linen", "fabric_green", "fabric_blue")
-    cloth = look(names[int(np.random.default_rng((s.style, 32)).integers(len(names)))])  # the same at all windows
+    cloth = surface_of(names[int(np.random.default_rng((s.style, 32)).integers(len(names)))])  # same for all windows
     folds, steps, rows = max(3, round(w / 0.085)), 6, 5
     y = np.linspace(-w / 2, w / 2, folds * steps + 1)
     phase = np.linspace(0, 2 * np.pi * folds, len(y))
@@ -321,11 +325,11 @@ def curtain(s: ObjectBuilder, d: float, w: float, h: float) -> None:
         swing = 0.25 * np.sin(phase * 0.37 + s.rng.uniform(0, 6)) * loose
         grid[:, k] = np.column_stack([np.clip((np.sin(phase) * loose + swing) * d * 0.42, -d / 2, d / 2), y, np.full(len(y), z)])
     s.sheet(grid, cloth)
-    s.tube([(0, -w / 2 - 0.0, h - 0.02), (0, w / 2, h - 0.02)], 0.011, look("metal_black"), 8)
+    s.tube([(0, -w / 2 - 0.0, h - 0.02), (0, w / 2, h - 0.02)], 0.011, surface_of("metal_black"), 8)
 
 
 def painting(s: ObjectBuilder, d: float, w: float, h: float) -> None:
-    """A picture in a frame."""
+    """Adds a picture in a frame."""
     frame = choose(s, ("wood_black", "wood_oak", "wood_white", "metal_brass"))
     rim = 0.025
     for side in (-1, 1):
@@ -334,13 +338,13 @@ def painting(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     s.box((-d / 2, -w / 2 + rim, h - rim), (d / 2, w / 2 - rim, h), frame, 0.004, "-x")
     x, board = d / 2 - 0.012, 0.06 if s.rng.random() < 0.6 else 0.0
     y, z = w / 2 - rim, h - rim
-    s.quad([(x, -y, rim), (x, y, rim), (x, y, z), (x, -y, z)], look("paper"))
+    s.quad([(x, -y, rim), (x, y, rim), (x, y, z), (x, -y, z)], surface_of("paper"))
     y, low, z = y - board, rim + board, z - board
     number = float(s.rng.integers(0, 1000))
     pattern = [(-1, -1, number), (1, -1, number), (1, 1, number), (-1, 1, number)]
     s.quad(
         [(x + 0.002, -y, low), (x + 0.002, y, low), (x + 0.002, y, z), (x + 0.002, -y, z)],
-        Surface("art", vivid(s.rng, (0.2, 0.6), (0.5, 0.9)), 1.4),
+        Surface("art", sample_vivid_color(s.rng, (0.2, 0.6), (0.5, 0.9)), 1.4),
         pattern,
     )
     s.quad(

@@ -1,4 +1,4 @@
-"""Makes the meshes of our objects: ``python -m gibson_sim_tools.making.blender.objects``, in a Python that has Blender (``bpy``)."""
+"""Models the meshes of the built-in objects: ``python -m gibson_sim_tools.making.blender.objects``, in a Python with Blender (``bpy``)."""
 
-# Loaded first: it makes ``bmesh`` and ``mathutils`` known.
+# Imported first: it makes ``bmesh`` and ``mathutils`` importable.
 import bpy as bpy

@@ -1,6 +1,6 @@
 """``python -m gibson_sim_tools.making.blender.objects PICTURES OUTPUT NAME...``: writes ``OUTPUT/<name>/<mesh>.glb``.
 
-One line of JSON for each mesh.
+Prints one line of JSON for each mesh.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ def _makers(name: str) -> Mapping[str, Callable[[LinkModel], None]]:
 def main() -> None:
     """Models the objects named on the command line."""
     pictures, output, *names = sys.argv[1:]
-    shop = Workshop(Path(pictures))
+    workshop = Workshop(Path(pictures))
     for name in names:
         model, makers = OBJECTS[name], _makers(name)
-        written = set()
+        written_paths = set()
         for link in model.links:
             path = Path(output) / name / mesh_name(model, link)
-            if not link.visual or path in written:
+            if not link.visual or path in written_paths:
                 continue
-            written.add(path)
+            written_paths.add(path)
             path.parent.mkdir(parents=True, exist_ok=True)
-            shop.clear()
-            part = LinkModel(shop)
+            workshop.clear()
+            part = LinkModel(workshop)
             makers[link.name](part)
             print(json.dumps({"object": name, "file": path.name, "triangles": part.write(path)}), flush=True)
 

@@ -1,4 +1,4 @@
-"""Cabinets, a fridge and an oven: each link in its own frame (see ``gibson_sim_tools.making.objects.joined``)."""
+"""Models cabinets, a fridge and an oven, each link in its own frame (see ``gibson_sim_tools.making.objects.joined``)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from functools import partial
 
 from gibson_sim_tools.making.blender.objects.paints import BEECH, BLACK, DARK_STEEL, LACQUER, OAK, STEEL, WALNUT, WHITE, label
 from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial
-from gibson_sim_tools.making.objects.joined import DRAWER_HIGH, PANEL, carcass
+from gibson_sim_tools.making.objects.joined import BOARD_THICKNESS, DRAWER_HEIGHT, carcass
 from gibson_sim_tools.making.objects.model import Primitive
 
 _HANDLE = 0.03
-"""Protrusion of a handle, metres."""
+"""Protrusion of a handle, m."""
 
 
 def _boards(part: LinkModel, primitives: Sequence[Primitive], paint: ShaderMaterial, bevel: float = 0.0015) -> None:
@@ -39,7 +39,7 @@ def _bar(
 
 
 def _drawers_body(part: LinkModel) -> None:
-    _boards(part, carcass(-0.225, 0.177, 0.6, 0.06, 0.72, PANEL), WALNUT)
+    _boards(part, carcass(-0.225, 0.177, 0.6, 0.06, 0.72, BOARD_THICKNESS), WALNUT)
     part.box((-0.2, -0.28, 0.0), (0.13, 0.28, 0.06), BLACK, 0.001, 1)
     for z in (0.282, 0.492):
         part.box((-0.207, -0.282, z - 0.006), (0.165, 0.282, z), WALNUT, 0.0, 1)
@@ -47,7 +47,7 @@ def _drawers_body(part: LinkModel) -> None:
 
 def _drawer(part: LinkModel) -> None:
     y, back, top = 0.265, -0.37, 0.16
-    part.box((0.0, -0.297, 0.0), (PANEL, 0.297, DRAWER_HIGH), LACQUER, 0.002, 2)
+    part.box((0.0, -0.297, 0.0), (BOARD_THICKNESS, 0.297, DRAWER_HEIGHT), LACQUER, 0.002, 2)
     part.box((back, -y, 0.015), (0.0, y, 0.024), BEECH, 0.0, 1)
     part.box((back, -y, 0.024), (back + 0.012, y, top), BEECH, 0.001, 1)
     for side in (-1, 1):
@@ -58,27 +58,27 @@ def _drawer(part: LinkModel) -> None:
             0.001,
             1,
         )
-    _bar(part, PANEL, ((-0.08, 0.131), (0.08, 0.131)))
+    _bar(part, BOARD_THICKNESS, ((-0.08, 0.131), (0.08, 0.131)))
 
 
 def _doors_body(part: LinkModel) -> None:
-    _boards(part, carcass(-0.225, 0.177, 0.8, 0.06, 0.76, PANEL), OAK)
+    _boards(part, carcass(-0.225, 0.177, 0.8, 0.06, 0.76, BOARD_THICKNESS), OAK)
     part.box((-0.207, -0.382, 0.40), (0.16, 0.382, 0.418), OAK, 0.001, 1)
     part.box((-0.2, -0.38, 0.0), (0.13, 0.38, 0.06), BLACK, 0.001, 1)
 
 
 def _cabinet_door(part: LinkModel, side: int) -> None:
-    """A frame with a sunk field; ``side``: 1 = hung at +y."""
+    """Adds a frame with a recessed panel. ``side``: 1 = hinged at +y."""
     sage = ShaderMaterial((0.47, 0.55, 0.48), roughness=0.5)
     inner, outer, low, high, wide = 0.002, 0.3985, 0.062, 0.758, 0.055
     y0, y1 = sorted((-side * inner, -side * outer))
-    part.box((0.0, y0, low), (PANEL, y0 + wide, high), sage, 0.002, 2)
-    part.box((0.0, y1 - wide, low), (PANEL, y1, high), sage, 0.002, 2)
+    part.box((0.0, y0, low), (BOARD_THICKNESS, y0 + wide, high), sage, 0.002, 2)
+    part.box((0.0, y1 - wide, low), (BOARD_THICKNESS, y1, high), sage, 0.002, 2)
     for z in (low, high - wide):
-        part.box((0.0, y0 + wide, z), (PANEL, y1 - wide, z + wide), sage, 0.002, 2)
+        part.box((0.0, y0 + wide, z), (BOARD_THICKNESS, y1 - wide, z + wide), sage, 0.002, 2)
     part.box((0.003, y0 + wide - 0.004, low + wide - 0.004), (0.010, y1 - wide + 0.004, high - wide + 0.004), sage, 0.0, 1)
     y = -side * 0.366
-    _bar(part, PANEL, ((y, 0.38), (y, 0.54)), ShaderMaterial((0.68, 0.55, 0.32), metallic=0.5, roughness=0.35))
+    _bar(part, BOARD_THICKNESS, ((y, 0.38), (y, 0.54)), ShaderMaterial((0.68, 0.55, 0.32), metallic=0.5, roughness=0.35))
 
 
 def _fridge_body(part: LinkModel) -> None:
@@ -110,7 +110,7 @@ def _fridge_body(part: LinkModel) -> None:
 
 
 def _fridge_door(part: LinkModel) -> None:
-    """The origin is the edge at the hinge (-y), on the floor."""
+    """Adds the door. Its origin is on the floor, at the edge with the hinge (-y)."""
     steel = ShaderMaterial((0.82, 0.83, 0.84), metallic=0.15, roughness=0.36)
     part.box((0.012, 0.002, 0.045), (0.06, 0.598, 1.775), steel, 0.006, 3)
     part.box((0.004, 0.012, 0.055), (0.012, 0.588, 1.765), WHITE, 0.002, 1)
@@ -147,7 +147,7 @@ def _oven_body(part: LinkModel) -> None:
 
 
 def _oven_door(part: LinkModel) -> None:
-    """The origin is the axis, at the front edge below."""
+    """Adds the door. Its origin is the axis, at the lower front edge."""
     glass = ShaderMaterial((0.05, 0.05, 0.06), roughness=0.08)
     dark = ShaderMaterial((0.08, 0.09, 0.10), roughness=0.05, alpha=0.62)
     x0, x1, y, z0, z1 = -0.034, 0.0, 0.29, 0.005, 0.42
@@ -175,4 +175,4 @@ MAKERS: dict[str, dict[str, Maker]] = {
     "fridge_body": {"body": _fridge_body, "door": _fridge_door},
     "oven_body": {"body": _oven_body, "door": _oven_door},
 }
-"""Object name -> link -> modelling function."""
+"""Modelling function of each link, by object name and link name."""

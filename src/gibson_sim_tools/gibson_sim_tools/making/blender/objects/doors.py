@@ -1,4 +1,4 @@
-"""Doors and a window: each link in its own frame (see ``gibson_sim_tools.making.objects.joined``)."""
+"""Models doors and a window, each link in its own frame (see ``gibson_sim_tools.making.objects.joined``)."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from functools import partial
 
 from gibson_sim_tools.making.blender.objects.paints import BLACK, DARK_STEEL, LACQUER, OAK, PANE, STEEL, WHITE
 from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial, mm
-from gibson_sim_tools.making.objects.joined import HANDLE_Z, LEAF, door_names
+from gibson_sim_tools.making.objects.joined import HANDLE_Z, LEAF_THICKNESS, door_names
 
-_HALF = LEAF / 2
+_HALF = LEAF_THICKNESS / 2
 _VENEER = replace(OAK, tile=1.1)
 _OAK_ROUND = ShaderMaterial(OAK.color, roughness=0.55)
 
 
 def _leaf(part: LinkModel, width: float) -> None:
-    """A door leaf, its round edge about the hinge: 0.80 m lacquered with two sunk fields, wider ones of oak."""
+    """Adds a door leaf with a round edge at the hinge: lacquered with two recessed panels for 0.80 m, oak for wider doors."""
     reach, painted = width - 0.026, width < 0.85
     paint = LACQUER if painted else _VENEER
     round_edge = [(_HALF * math.cos(a), _HALF * math.sin(a)) for a in (math.pi / 2 + math.pi * k / 8 for k in range(9))]
@@ -49,7 +49,7 @@ def _leaf(part: LinkModel, width: float) -> None:
 
 
 def _panelled(part: LinkModel, round_edge: list[tuple[float, float]], reach: float, paint: ShaderMaterial) -> None:
-    """Stiles and rails around two thinner fields with raised middles."""
+    """Adds stiles and rails around two thinner panels with raised centres."""
     stile, rail = 0.11, (0.006, 0.20, 0.86, 0.98, 1.88, 1.994)
     part.prism([*round_edge, (stile, -_HALF), (stile, _HALF)], 0.006, 1.994, paint, 0.0015)
     part.box((reach - stile, -_HALF, 0.006), (reach, _HALF, 1.994), paint, 0.0015, 1)
@@ -58,7 +58,7 @@ def _panelled(part: LinkModel, round_edge: list[tuple[float, float]], reach: flo
     for low, high in ((rail[1], rail[2]), (rail[3], rail[4])):
         part.box((stile - 0.004, -0.009, low - 0.004), (reach - stile + 0.004, 0.009, high + 0.004), paint, 0.0, 1)
         part.box((stile + 0.035, -0.0155, low + 0.035), (reach - stile - 0.035, 0.0155, high - 0.035), paint, 0.0075, 2)
-        # A moulding around the field, on both sides.
+        # A moulding around the panel, on both sides.
         for side in (-1, 1):
             y0, y1 = sorted((side * 0.008, side * 0.0165))
             for x in (stile, reach - stile - 0.012):
@@ -68,7 +68,7 @@ def _panelled(part: LinkModel, round_edge: list[tuple[float, float]], reach: flo
 
 
 def _lever(part: LinkModel) -> None:
-    """Both levers of a door on one spindle, pointing to the hinge (-x); the origin is on the axis."""
+    """Adds both levers of a door on one spindle, pointing to the hinge (-x); the origin is on the axis."""
     for side in (-1, 1):
         part.rod((0.0, side * 0.024, 0.0), (0.0, side * 0.064, 0.0), 0.0095, STEEL, 16, 0.001)
         y = side * 0.063
@@ -119,7 +119,7 @@ def _window_frame(part: LinkModel) -> None:
 
 
 def _sash(part: LinkModel) -> None:
-    """The origin is the edge at the hinge, in the plane of the frame's front."""
+    """Adds the sash. Its origin is the edge with the hinge, in the front plane of the frame."""
     x0, x1, z0, z1, wide = 0.004, 0.696, 0.054, 1.146, 0.062
     y0, y1 = -0.055, -0.005
     part.box((x0, y0, z0), (x0 + wide, y1, z1), WHITE, 0.004, 2)
@@ -149,4 +149,4 @@ MAKERS: dict[str, dict[str, Maker]] = {
     "sliding_door_90": {"leaf": _sliding_leaf, "rail": _rail},
     "window_casement": {"frame": _window_frame, "sash": _sash, "handle": _window_handle},
 }
-"""Object name -> link -> modelling function."""
+"""Modelling function of each link, by object name and link name."""

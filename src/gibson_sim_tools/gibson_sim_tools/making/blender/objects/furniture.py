@@ -1,4 +1,4 @@
-"""A chair, a stool, a small table."""
+"""Models a chair, a stool, a small table."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMa
 def _leg(
     part: LinkModel, foot: tuple[float, float, float], top: tuple[float, float, float], thick: float, paint: ShaderMaterial
 ) -> None:
-    """Adds a round leg that is thinner at its foot."""
-    # The end of a slanting bar slants too: its lower side stands on the floor.
+    """Adds a round leg that tapers towards its foot."""
+    # The end of an inclined bar is inclined, too: its lower edge touches the floor.
     slant = math.hypot(top[0] - foot[0], top[1] - foot[1]) / math.dist(foot, top)
     part.rod((foot[0], foot[1], foot[2] + 0.62 * thick * slant), top, 0.62 * thick, paint, 14, 0.002, top=thick)
 
@@ -36,7 +36,7 @@ def _chair_wooden(part: LinkModel) -> None:
     for k in range(5):
         y = -0.115 + 0.0575 * k
         part.tube([(-0.193, 0.92 * y, 0.45), (-0.222, y, 0.60), (-0.238, 1.03 * y, 0.82)], 0.0075, wood, 2, 5)
-    # The top rail is curved around the sitter.
+    # The top rail is curved.
     front, back = [], []
     for k in range(13):
         y = -0.215 + 0.43 * k / 12
@@ -75,4 +75,4 @@ def _table_side(part: LinkModel) -> None:
 
 
 MAKERS = {one.__name__[1:]: one for one in (_chair_wooden, _stool, _table_side)}
-"""Object name -> modelling function of its only link."""
+"""Modelling function of the only link, by object name."""

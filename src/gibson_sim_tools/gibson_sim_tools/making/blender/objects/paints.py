@@ -1,4 +1,4 @@
-"""Colours and finishes that several objects share."""
+"""Materials shared by several objects."""
 
 from __future__ import annotations
 

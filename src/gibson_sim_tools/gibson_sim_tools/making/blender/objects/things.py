@@ -1,4 +1,4 @@
-"""Books, boxes, fruit, balls, electronics and a clock."""
+"""Models books, boxes, fruit, balls, electronics and a clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _book(
     color: tuple[float, float, float],
     yaw: float,
 ) -> None:
-    """Adds a lying book whose middle is at (x, y): its spine to -x before it is turned, the top of its cover to +y."""
+    """Adds a lying book centred at (x, y); before the rotation, its spine faces -x and the top of its cover +y."""
     dx, dy, dz = size
     board = 0.0022
     paint, plain = label(cover, 0.6), ShaderMaterial(color, roughness=0.6)
@@ -109,7 +109,7 @@ def _laptop(part: LinkModel) -> None:
     keys = label("keys_laptop", 0.55)
     part.plate(mm("-105 -155 17.3, 112 -155 17.3, 112 155 17.3, -105 155 17.3"), keys)
     part.rod((-0.116, -0.13, 0.016), (-0.116, 0.13, 0.016), 0.006, RUBBER, 10)
-    # The lid leans back about its hinge.
+    # The lid is tilted back about its hinge.
     lean, high = 0.33, 0.206
     foot, s, c = (-0.118, 0.016), math.sin(lean), math.cos(lean)
 
@@ -205,7 +205,7 @@ def _ball(part: LinkModel) -> None:
 
 
 def _clock(part: LinkModel) -> None:
-    turn = (0.0, math.pi / 2, 0.0)  # the axis of revolution points to the front
+    turn = (0.0, math.pi / 2, 0.0)  # the axis of revolution points forward
     part.lathe(
         mm("0 -20, 60 -20, 68 -15, 68 16, 65.5 22.5, 62.5 22.5, 60.5 18, 0 18"), _WALNUT_ROUND, 44, at=(0, 0, 0.077), turn=turn
     )
@@ -270,4 +270,4 @@ MAKERS = {
         _basket,
     )
 }
-"""Object name -> modelling function of its only link."""
+"""Modelling function of the only link, by object name."""

@@ -1,4 +1,4 @@
-"""Bottles, cans, cups and bowls."""
+"""Models bottles, cans, cups and bowls."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _can_food(part: LinkModel) -> None:
 def _handle(
     part: LinkModel, radius: float, low: float, high: float, out: float, thick: float, paint: ShaderMaterial, squash: float = 1.0
 ) -> None:
-    """Adds an ear on the side of +y."""
+    """Adds a handle at the side +y."""
     middle, reach = (low + high) / 2, (high - low) / 2
     points = [
         (0.0, radius - 0.004, high),
@@ -208,4 +208,4 @@ MAKERS = {
         _pen_cup,
     )
 }
-"""Object name -> modelling function of its only link."""
+"""Modelling function of the only link, by object name."""

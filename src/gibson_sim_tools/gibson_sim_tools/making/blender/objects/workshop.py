@@ -1,6 +1,6 @@
-"""Tools for modelling small objects in Blender: boxes with rounded edges, bodies of revolution, bars, and their materials.
+"""Models small objects in Blender: boxes with rounded edges, bodies of revolution, bars, and their materials.
 
-Metres, z up. A ``LinkModel`` gathers pieces and becomes one mesh in one GLB.
+Metres, z up. A ``LinkModel`` collects pieces and is written as one mesh in one GLB.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from gibson_sim.geometry.colours import linear_from_srgb
 
 Point = Sequence[float]
 Atlas = Mapping[str, tuple[float, float, float, float]]
-"""Side of a box (``+x`` to ``-z``) -> (left, top, right, bottom) of what it shows of the picture, fractions, from the top left."""
-_SHARP = math.radians(38.0)
+"""Window of the picture, (left, top, right, bottom), fractions from the top left, for each side of a box (``+x`` to ``-z``)."""
+_SHARP_ANGLE = math.radians(38.0)
 
 
 @dataclass(frozen=True)
 class ShaderMaterial:
-    """A material."""
+    """A material of the Principled BSDF."""
 
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """sRGB, 0 to 1; a picture replaces it."""
+    """Base colour, sRGB, 0 to 1; a picture replaces it."""
     metallic: float = 0.0
     roughness: float = 0.5
     alpha: float = 1.0
     picture: str = ""
-    """Name of a texture."""
+    """Name of a texture; empty = none."""
     tile: float = 0.0
-    """Size of one repeat of the picture on boxes, metres; 0 = mapped by an ``Atlas``, or around a body of revolution."""
+    """Size of one repeat of the picture on boxes, m; 0 = mapped by an ``Atlas``, or around a body of revolution."""
     glow: float = 0.0
     """Strength of emission."""
 
 
 class Workshop:
-    """Blender's file in memory, with the materials and pictures that links share."""
+    """Blender's file in memory, with materials and pictures shared by links."""
 
     def __init__(self, pictures: Path) -> None:
         self.pictures = pictures
@@ -53,7 +53,7 @@ class Workshop:
         self._materials.clear()
 
     def material(self, paint: ShaderMaterial) -> bpy.types.Material:
-        """Returns Blender's material, made on first use."""
+        """Returns Blender's material, created on first use."""
         if paint not in self._materials:
             material = bpy.data.materials.new(f"paint_{len(self._materials)}")
             material.use_nodes = True
@@ -83,8 +83,8 @@ class Workshop:
 class LinkModel:
     """Builds the mesh of one link."""
 
-    def __init__(self, shop: Workshop) -> None:
-        self.shop = shop
+    def __init__(self, workshop: Workshop) -> None:
+        self.workshop = workshop
         self.pieces: list[bpy.types.Object] = []
 
     def box(
@@ -106,9 +106,9 @@ class LinkModel:
             bmesh.ops.bevel(
                 mesh, geom=mesh.edges[:], offset=width, segments=segments, profile=0.5, affect="EDGES", clamp_overlap=True
             )
-        _lay_boxwise(mesh, size, paint.tile, atlas)
+        _map_box_sides(mesh, size, paint.tile, atlas)
         middle = Vector([(a + b) / 2 for a, b in zip(low, high, strict=True)])
-        return self._keep(mesh, paint, Matrix.Translation(middle) @ Euler(turn).to_matrix().to_4x4())
+        return self._add_piece(mesh, paint, Matrix.Translation(middle) @ Euler(turn).to_matrix().to_4x4())
 
     def lathe(
         self,
@@ -122,12 +122,12 @@ class LinkModel:
         """Adds a body of revolution about z.
 
         Args:
-            profile: radius and height of its outline, outside upwards (the normal is to the right of the way); radius 0 closes it.
-            paint: a picture goes around it once, its left edge at +x, its top at the top of the profile.
+            profile: radii and heights of the outline, metres, upwards on the outside (the normal is to its right); a radius of 0 closes it.
+            paint: material; a picture wraps around once, its left edge at +x, its top at the top of the profile.
             sides: number of facets.
             at: position of its origin.
             turn: roll, pitch, yaw about the origin, radians.
-            shape: factor of the radius at (angle, share of the height), for what is not quite round.
+            shape: factor of the radius at (angle, fraction of the outline), for bodies that are not quite round.
         """
         mesh = bmesh.new()
         uv = mesh.loops.layers.uv.new("UVMap")
@@ -160,10 +160,10 @@ class LinkModel:
                 face = mesh.faces.new([corner[0] for corner in corners])
                 for loop, (_, a, level) in zip(face.loops, corners, strict=True):
                     loop[uv].uv = (a / sides, lengths[level] / lengths[-1])
-        return self._keep(mesh, paint, Matrix.Translation(Vector(at)) @ Euler(turn).to_matrix().to_4x4())
+        return self._add_piece(mesh, paint, Matrix.Translation(Vector(at)) @ Euler(turn).to_matrix().to_4x4())
 
     def disc(self, radius: float, paint: ShaderMaterial, at: Point, turn: Point, sides: int = 44) -> bpy.types.Object:
-        """Adds a flat disc that faces z with the picture: its right is +y, its top -x, before the rotation."""
+        """Adds a flat disc with a picture facing z; before the rotation, its right is +y and its top -x."""
         piece = self.lathe([(radius, 0.0), (0.0, 0.0)], paint, sides, at, turn)
         for loop, place in zip(piece.data.loops, piece.data.uv_layers[0].data, strict=True):
             x, y, _ = piece.data.vertices[loop.vertex_index].co
@@ -173,7 +173,7 @@ class LinkModel:
     def rod(
         self, low: Point, high: Point, radius: float, paint: ShaderMaterial, sides: int = 16, bevel: float = 0.0, top: float = 0.0
     ) -> bpy.types.Object:
-        """Adds a round bar between two points; ``top``: radius at its end, 0 = constant."""
+        """Adds a round bar between two points. ``top``: radius at its end, m; 0 = ``radius``."""
         start, end = Vector(low), Vector(high)
         length, last = (end - start).length, top or radius
         b = min(bevel, 0.4 * radius, 0.4 * length)
@@ -194,7 +194,7 @@ class LinkModel:
         steps: int = 6,
         radii: Sequence[float] = (),
     ) -> bpy.types.Object:
-        """Adds a smooth curved bar along points; ``radii``: factor of the radius at each point."""
+        """Adds a smooth curved bar along points. ``radii``: factor of the radius at each point."""
         curve = bpy.data.curves.new("tube", "CURVE")
         curve.dimensions, curve.bevel_depth, curve.bevel_resolution, curve.resolution_u, curve.use_fill_caps = (
             "3D",
@@ -208,50 +208,50 @@ class LinkModel:
         for k, (point, place) in enumerate(zip(spline.points, points, strict=True)):
             point.co, point.radius = (*place, 1.0), radii[k] if radii else 1.0
         spline.use_endpoint_u, spline.order_u = True, min(4, len(points))
-        thing = bpy.data.objects.new("tube", curve)
-        bpy.context.scene.collection.objects.link(thing)
-        made = bpy.data.meshes.new_from_object(thing.evaluated_get(bpy.context.evaluated_depsgraph_get()))
-        bpy.data.objects.remove(thing)
+        curve_object = bpy.data.objects.new("tube", curve)
+        bpy.context.scene.collection.objects.link(curve_object)
+        mesh_data = bpy.data.meshes.new_from_object(curve_object.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+        bpy.data.objects.remove(curve_object)
         mesh = bmesh.new()
-        mesh.from_mesh(made)
-        return self._keep(mesh, paint, Matrix.Identity(4))
+        mesh.from_mesh(mesh_data)
+        return self._add_piece(mesh, paint, Matrix.Identity(4))
 
     def prism(
         self, outline: Sequence[Point], low: float, high: float, paint: ShaderMaterial, bevel: float = 0.002, axis: str = "z"
     ) -> bpy.types.Object:
-        """Adds a counter-clockwise outline, extruded along an axis: its plane is (x, y), or (y, z) for x, (z, x) for y."""
+        """Adds a counter-clockwise outline extruded along an axis: in the plane (x, y) for z, (y, z) for x, (z, x) for y."""
         mesh = bmesh.new()
         face = mesh.faces.new([mesh.verts.new((a, b, low)) for a, b in outline])
-        moved = bmesh.ops.extrude_face_region(mesh, geom=[face])["geom"]
-        bmesh.ops.translate(mesh, verts=[v for v in moved if isinstance(v, bmesh.types.BMVert)], vec=(0, 0, high - low))
+        extruded = bmesh.ops.extrude_face_region(mesh, geom=[face])["geom"]
+        bmesh.ops.translate(mesh, verts=[v for v in extruded if isinstance(v, bmesh.types.BMVert)], vec=(0, 0, high - low))
         bmesh.ops.recalc_face_normals(mesh, faces=mesh.faces[:])
         if bevel:
             edges = [e for e in mesh.edges if e.calc_face_angle(0.0) > 0.5]
             bmesh.ops.bevel(mesh, geom=edges, offset=bevel, segments=2, profile=0.5, affect="EDGES", clamp_overlap=True)
         size = [1.0, 1.0, 1.0]
-        _lay_boxwise(mesh, size, paint.tile or 1.0, None)
+        _map_box_sides(mesh, size, paint.tile or 1.0, None)
         turn = {
             "z": Matrix.Identity(4),
             "x": Matrix(((0, 0, 1, 0), (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 0, 1))),
             "y": Matrix(((0, 1, 0, 0), (0, 0, 1, 0), (1, 0, 0, 0), (0, 0, 0, 1))),
         }[axis]
-        return self._keep(mesh, paint, turn)
+        return self._add_piece(mesh, paint, turn)
 
     def plate(self, corners: Sequence[Point], paint: ShaderMaterial) -> bpy.types.Object:
-        """Adds a flat quad that shows the whole picture: its corners are top left, bottom left, bottom right, top right, seen from its front."""
+        """Adds a flat quad that shows the whole picture. ``corners``: top left, bottom left, bottom right, top right, seen from the front."""
         mesh = bmesh.new()
         uv = mesh.loops.layers.uv.new("UVMap")
         face = mesh.faces.new([mesh.verts.new(corner) for corner in corners])
         for loop, place in zip(face.loops, ((0, 1), (0, 0), (1, 0), (1, 1)), strict=True):
             loop[uv].uv = place
-        return self._keep(mesh, paint, Matrix.Identity(4))
+        return self._add_piece(mesh, paint, Matrix.Identity(4))
 
     def write(self, path: Path, keep_flat: bool = False) -> int:
-        """Writes the GLB and returns the number of its triangles."""
+        """Writes the GLB and returns its number of triangles."""
         for piece in self.pieces:
             piece.data.transform(piece.matrix_world)
             piece.matrix_world = Matrix.Identity(4)
-            # A mirroring matrix turns surfaces inside out.
+            # A mirroring matrix flips the surfaces.
             piece.data.update()
         bpy.ops.object.select_all(action="DESELECT")
         for piece in self.pieces:
@@ -259,14 +259,14 @@ class LinkModel:
         bpy.context.view_layer.objects.active = self.pieces[0]
         if len(self.pieces) > 1:
             bpy.ops.object.join()
-        thing = bpy.context.view_layer.objects.active
-        thing.name = thing.data.name = path.stem
-        for polygon in thing.data.polygons:
+        mesh_object = bpy.context.view_layer.objects.active
+        mesh_object.name = mesh_object.data.name = path.stem
+        for polygon in mesh_object.data.polygons:
             polygon.use_smooth = not keep_flat
-        thing.data.set_sharp_from_angle(angle=_SHARP)
+        mesh_object.data.set_sharp_from_angle(angle=_SHARP_ANGLE)
         # Weighted normals keep flat sides flat beside rounded edges.
-        weigh = thing.modifiers.new("weigh", "WEIGHTED_NORMAL")
-        weigh.keep_sharp, weigh.weight = True, 60
+        modifier = mesh_object.modifiers.new("weigh", "WEIGHTED_NORMAL")
+        modifier.keep_sharp, modifier.weight = True, 60
         bpy.ops.export_scene.gltf(
             filepath=str(path),
             export_format="GLB",
@@ -281,18 +281,18 @@ class LinkModel:
             export_lights=False,
             export_tangents=False,
         )
-        thing.data.calc_loop_triangles()
-        count = len(thing.data.loop_triangles)
-        bpy.data.objects.remove(thing)
+        mesh_object.data.calc_loop_triangles()
+        count = len(mesh_object.data.loop_triangles)
+        bpy.data.objects.remove(mesh_object)
         self.pieces.clear()
         return count
 
-    def _keep(self, mesh: bmesh.types.BMesh, paint: ShaderMaterial, matrix: Matrix) -> bpy.types.Object:
+    def _add_piece(self, mesh: bmesh.types.BMesh, paint: ShaderMaterial, matrix: Matrix) -> bpy.types.Object:
         data = bpy.data.meshes.new("piece")
         mesh.to_mesh(data)
         mesh.free()
         data.materials.clear()
-        data.materials.append(self.shop.material(paint))
+        data.materials.append(self.workshop.material(paint))
         if not data.uv_layers:
             data.uv_layers.new(name="UVMap")
         elif data.uv_layers[0].name != "UVMap":
@@ -305,31 +305,31 @@ class LinkModel:
 
 
 def mm(text: str) -> list[tuple[float, ...]]:
-    """Returns points written in millimetres, in metres: ``"12 0, 13.5 4"`` gives ``[(0.012, 0.0), (0.0135, 0.004)]``."""
+    """Parses points in millimetres; returns metres: ``"12 0, 13.5 4"`` gives ``[(0.012, 0.0), (0.0135, 0.004)]``."""
     return [tuple(float(number) / 1000 for number in place.split()) for place in text.split(",")]
 
 
-def _lay_boxwise(mesh: bmesh.types.BMesh, size: Sequence[float], tile: float, atlas: Atlas | None) -> None:
-    """Maps a picture onto faces by the side that each faces: by the atlas, or repeated, its grain (u) along the longest edge."""
+def _map_box_sides(mesh: bmesh.types.BMesh, size: Sequence[float], tile: float, atlas: Atlas | None) -> None:
+    """Maps a picture onto faces by their side: by the atlas, or repeated, with u along the longest edge."""
     uv = mesh.loops.layers.uv.new("UVMap")
     mesh.normal_update()
-    spread = [max(v.co[k] for v in mesh.verts) - min(v.co[k] for v in mesh.verts) for k in range(3)]
+    extents = [max(v.co[k] for v in mesh.verts) - min(v.co[k] for v in mesh.verts) for k in range(3)]
     for face in mesh.faces:
         axis = max(range(3), key=lambda k: abs(face.normal[k]))
         side = ("+" if face.normal[axis] > 0 else "-") + "xyz"[axis]
         for loop in face.loops:
             co = loop.vert.co
             if atlas is not None:
-                loop[uv].uv = _in_atlas(co, side, size, atlas.get(side, (0.0, 0.0, 0.001, 0.001)))
+                loop[uv].uv = _atlas_uv(co, side, size, atlas.get(side, (0.0, 0.0, 0.001, 0.001)))
                 continue
             others = [k for k in range(3) if k != axis]
-            along = max(others, key=lambda k: spread[k])
+            along = max(others, key=lambda k: extents[k])
             across = next(k for k in others if k != along)
             loop[uv].uv = (co[along] / (tile or 1.0), co[across] / (tile or 1.0) + 0.37 * axis)
 
 
-def _in_atlas(co: Vector, side: str, size: Sequence[float], window: tuple[float, float, float, float]) -> tuple[float, float]:
-    """Returns the picture coordinates of a point on a side, seen from outside with z up; from above, +x is at the bottom."""
+def _atlas_uv(co: Vector, side: str, size: Sequence[float], window: tuple[float, float, float, float]) -> tuple[float, float]:
+    """Returns the texture coordinates of a point on a side, seen from outside with z up; seen from above, +x is at the bottom."""
     x, y, z = (co[k] / size[k] + 0.5 for k in range(3))
     right, up = {
         "+x": (y, z),
