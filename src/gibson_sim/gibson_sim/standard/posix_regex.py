@@ -113,11 +113,11 @@ class PosixRegex:
         if cached is not None:
             return cached
         reachable = self._whole.first | _union(self._follow[i] for i in _bits(states))
-        after = _union(1 << i for i in _bits(reachable) if self._positions[i].matches(char))
+        next_states = _union(1 << i for i in _bits(reachable) if self._positions[i].matches(char))
         if len(self._transitions) >= _CACHE_SIZE:
             self._transitions.clear()
-        self._transitions[key] = after
-        return after
+        self._transitions[key] = next_states
+        return next_states
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,9 +42,9 @@ class CollisionLog:
         self._count = count
         if unnamed < 0:
             return
-        known = {(one.link, one.body) for one in self.collisions} | {last}
-        others = [pair for pair in dict.fromkeys(touching) if pair not in known][:unnamed]
-        self.collisions += [Collision(time, self._robot, *pair) for pair in (*others, last)]
+        logged = {(collision.link, collision.body) for collision in self.collisions} | {last}
+        new_pairs = [pair for pair in dict.fromkeys(touching) if pair not in logged][:unnamed]
+        self.collisions += [Collision(time, self._robot, *pair) for pair in (*new_pairs, last)]
 
     def clear(self) -> None:
         """Clears the log: the simulation was reset."""

@@ -379,8 +379,8 @@ class LockstepGate:
         topics = {name for name, _ in subscriptions}
         if topic and node.resolve_topic_name(topic) not in topics:
             return False
-        ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
-        return all(is_fully_matched(node, publisher) for publisher in ours)
+        publishers = [publisher for publisher in node.publishers if publisher.topic_name in topics]
+        return all(is_fully_matched(node, publisher) for publisher in publishers)
 
 
 def _short_name(node: Node, topic: str) -> str:

@@ -39,7 +39,7 @@ class PhysicsStats:
         self._first_step: tuple[int, int] | None = None
         self._last_step, self._last_report = (0, 0), (0, 0)
         self._earlier_ns = 0
-        """Total simulation time of the earlier epochs whose time a reset set back, ns."""
+        """Total simulation time of earlier epochs by which resets have set time back, ns."""
         self._factor_pub = node.create_publisher(Float64, names.REAL_TIME_FACTOR, qos.STATE)
         self._diagnostics_pub = node.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
 

@@ -136,7 +136,7 @@ class RecordNode(Node):
     def _find_topics(self) -> None:
         """Subscribes to the topics that have appeared since the last call."""
         assert self._subscribed is not None
-        known, unmatched = len(self._seen), self._subscribed.unmatched_publishers()
+        previous_count, unmatched = len(self._seen), self._subscribed.unmatched_publishers()
         self._warn_of_unmatched(unmatched)
         topics = {topic for topic, _ in self.get_topic_names_and_types()}
         self._topics |= topics
@@ -150,7 +150,7 @@ class RecordNode(Node):
             elif publishers:
                 self._seen.add(topic)
                 self._record(topic, publishers)
-        if unmatched or len(self._seen) > known:
+        if unmatched or len(self._seen) > previous_count:
             self._changed = time.monotonic()
         elif self._images and self._streams:
             self._log_size(self._images)

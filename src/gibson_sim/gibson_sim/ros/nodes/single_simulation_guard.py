@@ -37,26 +37,26 @@ class SingleSimulationGuard:
         if not started_by_launcher():
             self._lock = DomainLock(self._node.context.get_domain_id())
             deadline += DISCOVERY_S
-        self._refuse_second(own=0)
+        self._refuse_second(own_count=0)
         while time.monotonic() < deadline:
             time.sleep(0.05)
-            self._refuse_second(own=0)
+            self._refuse_second(own_count=0)
 
     def watch(self) -> None:
         """Continues to check for another simulation for ``LATE_DISCOVERY_S``."""
         self._watch_until = time.monotonic() + LATE_DISCOVERY_S
         self._node.create_timer(0.2, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _refuse_second(self, own: int) -> None:
-        """Raises AlreadyRunningError if there are more than ``own`` publishers of /clock."""
-        if self._node.count_publishers(names.CLOCK) > own:
+    def _refuse_second(self, own_count: int) -> None:
+        """Raises AlreadyRunningError if there are more than ``own_count`` publishers of /clock."""
+        if self._node.count_publishers(names.CLOCK) > own_count:
             raise AlreadyRunningError(
                 "another node publishes /clock in this ROS domain: stop that simulation, or choose another ROS_DOMAIN_ID"
             )
 
     def _watch(self) -> None:
         if time.monotonic() < self._watch_until:
-            self._refuse_second(own=1)
+            self._refuse_second(own_count=1)
 
     def close(self) -> None:
         """Releases the domain; a second call does nothing."""

@@ -152,14 +152,14 @@ class WebNode(Node):
         self._recorder.close()
         self._server.join()
 
-    def guarded(self, what: str, function: Callable[[], None]) -> None:
-        """Calls a function; if it fails on data that cannot be shown, logs one warning for each ``what``: nodes may publish invalid data."""
+    def guarded(self, subject: str, function: Callable[[], None]) -> None:
+        """Calls a function; if it fails on data that cannot be shown, logs one warning per ``subject``: nodes may publish invalid data."""
         try:
             function()
         except (GibsonSimError, ValueError, ArithmeticError, RecursionError, cv2.error, yaml.YAMLError) as error:
-            if what not in self._warned:
-                self._warned.add(what)
-                self.get_logger().warning(f"{what} cannot be shown: {str(error).splitlines()[0]}")
+            if subject not in self._warned:
+                self._warned.add(subject)
+                self.get_logger().warning(f"{subject} cannot be shown: {str(error).splitlines()[0]}")
 
     def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any, *, raw: bool = False) -> Any:
         """Subscribes to a topic; skips messages that cannot be shown, with one warning per topic."""

@@ -59,13 +59,13 @@ def value_text(value: Any, *, whole: bool = False) -> str:
     return yaml_text(value, whole=whole) if hasattr(value, "get_fields_and_field_types") else f"{_scalar(_plain(value), whole)}\n"
 
 
-def fill(message: Any, values: Any, where: str = "") -> Any:
+def fill(message: Any, values: Any, prefix: str = "") -> Any:
     """Sets fields of a message from YAML values, and returns the message.
 
     Args:
         message: message to change; fields that are not in ``values`` keep their values.
         values: mapping of field names to values, as parsed from YAML.
-        where: path of the message, for error messages.
+        prefix: path of the message with a trailing dot, for error messages.
 
     Raises:
         MessageValueError: a field does not exist, or its value has another type.
@@ -75,14 +75,14 @@ def fill(message: Any, values: Any, where: str = "") -> Any:
         return message
     if not isinstance(values, dict):
         raise MessageValueError(
-            f"{where or 'the message'} is {quoted(values)}, must be a mapping with {', '.join(types) or 'no fields'}"
+            f"{prefix or 'the message'} is {quoted(values)}, must be a mapping with {', '.join(types) or 'no fields'}"
         )
     for name, value in values.items():
         if name not in types:
             matches = difflib.get_close_matches(str(name), types, n=1)
             hint = f"did you mean {matches[0]!r}?" if matches else f"known: {', '.join(types) or 'none'}"
-            raise MessageValueError(f"{where}{name}: this field does not exist; {hint}")
-        path = f"{where}{name}"
+            raise MessageValueError(f"{prefix}{name}: this field does not exist; {hint}")
+        path = f"{prefix}{name}"
         try:
             setattr(message, name, _converted(value, types[name], getattr(message, name), path))
         except ValueError as error:

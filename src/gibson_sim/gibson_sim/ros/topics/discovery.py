@@ -43,11 +43,13 @@ def wait_for_peers(
     """
     start = time.monotonic()
     logged = False
-    own = {publisher.topic_name: publisher for publisher in node.publishers}
+    publishers = {publisher.topic_name: publisher for publisher in node.publishers}
     while is_running():
         meanwhile()
         missing = [
-            f"subscribers of {topic} ({count})" for topic, count in subscribers.items() if not _has(node, own, topic, count)
+            f"subscribers of {topic} ({count})"
+            for topic, count in subscribers.items()
+            if not _has(node, publishers, topic, count)
         ]
         missing += [name for name, holds in conditions.items() if not holds()]
         if not missing:
@@ -62,8 +64,8 @@ def wait_for_peers(
         executor.spin_once(timeout_sec=0.05)
 
 
-def _has(node: Node, own: Mapping[str, Publisher], topic: str, count: int) -> bool:
-    publisher = own.get(node.resolve_topic_name(topic))
+def _has(node: Node, publishers: Mapping[str, Publisher], topic: str, count: int) -> bool:
+    publisher = publishers.get(node.resolve_topic_name(topic))
     return node.count_subscribers(topic) >= count and (publisher is None or publisher.get_subscription_count() >= count)
 
 

@@ -19,7 +19,7 @@ class IncompatiblePublishers:
     def __init__(self, node: Node, stamped: StampedCommands | None) -> None:
         """Checks the topics that ``node`` subscribes to at the time of each check, and those with a second type in ``stamped``."""
         self._node, self._stamped = node, stamped
-        self._known: set[tuple[str, str, str]] = set()
+        self._reported: set[tuple[str, str, str]] = set()
 
     def check(self) -> None:
         """Warns once of each incompatible publisher that has appeared since the last check."""
@@ -29,13 +29,13 @@ class IncompatiblePublishers:
                 if publisher.topic_type not in received:
                     name = f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
                     incompatible.add((topic, name, publisher.topic_type))
-        for topic, name, type_name in sorted(incompatible - self._known):
+        for topic, name, type_name in sorted(incompatible - self._reported):
             received_types = sorted(types[topic])
             self._node.get_logger().warning(
                 f"{topic}: {name} publishes {type_name}, which is not received: this topic receives {' and '.join(received_types)}; "
                 f"{_remedy(topic, type_name, received_types)}"
             )
-        self._known = incompatible
+        self._reported = incompatible
 
     def _subscribed_types(self) -> dict[str, set[str]]:
         """Returns topic -> names of the types that are received on it."""

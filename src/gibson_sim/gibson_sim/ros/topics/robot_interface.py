@@ -173,9 +173,9 @@ class RobotInterface:
             conversions.transform_to_msg(0, prefix + parent, prefix + child, pose)
             for parent, child, pose in robot.fixed_transforms
         ]
-        known = {t.child_frame_id for t in transforms}
+        frames = {t.child_frame_id for t in transforms}
         for camera in robot.cameras:
-            if camera.optical_frame not in known:
+            if camera.optical_frame not in frames:
                 parent = prefix + names.link_name(camera.link)
                 transforms.append(conversions.transform_to_msg(0, parent, camera.optical_frame, camera.pose))
         self._tf_static_pub.publish(TFMessage(transforms=transforms))

@@ -135,7 +135,7 @@ class WorldInterface:
             return
         scene = world.scene
         floors = {names.floor_map(i): z for i, z in enumerate(scene.floors)} if len(scene.floors) > 1 else {}
-        if not self._has_other_publisher(own=0):
+        if not self._has_other_publisher(own_count=0):
             floors[names.MAP] = scene.floor_z
         height = max((robot.height for robot in scene.robots), default=_MAP_HEIGHT)
         for topic, floor_z in floors.items():
@@ -150,16 +150,16 @@ class WorldInterface:
 
     def withdraw_map(self) -> None:
         """Withdraws ``map`` once another node publishes it: subscribers would receive both, in any order."""
-        if names.MAP in self._maps and self._has_other_publisher(own=1):
+        if names.MAP in self._maps and self._has_other_publisher(own_count=1):
             self._node.destroy_publisher(self._maps.pop(names.MAP))
 
     def _destroy_maps(self) -> None:
         while self._maps:
             self._node.destroy_publisher(self._maps.popitem()[1])
 
-    def _has_other_publisher(self, own: int) -> bool:
-        """Returns whether another node publishes ``map``, or has done so; ``own`` is the number of publishers of this node."""
-        if self._config.map == "auto" and not self._map_withdrawn and self._node.count_publishers(names.MAP) > own:
+    def _has_other_publisher(self, own_count: int) -> bool:
+        """Returns whether another node publishes ``map``, or has done so; ``own_count`` is the number of publishers of this node."""
+        if self._config.map == "auto" and not self._map_withdrawn and self._node.count_publishers(names.MAP) > own_count:
             self._map_withdrawn = True
             self._node.get_logger().info("another node publishes the map: ours is withdrawn (setting map = on keeps it)")
         return self._map_withdrawn

@@ -533,8 +533,8 @@ class _ActionGoal:
 
     def _on_result(self, future: Any) -> None:
         status = future.result().status
-        ended = {_SUCCEEDED: "succeeded", 5: "was cancelled", 6: "was aborted"}
-        self._monitor.receive_result(status == _SUCCEEDED, ended.get(status, f"ended with status {status}"))
+        texts = {_SUCCEEDED: "succeeded", 5: "was cancelled", 6: "was aborted"}
+        self._monitor.receive_result(status == _SUCCEEDED, texts.get(status, f"ended with status {status}"))
 
 
 def _goal_of(node: Node, plan: TrialPlan, monitor: RunMonitor) -> _TopicGoal | _ServiceGoal | _ActionGoal:

@@ -277,8 +277,8 @@ class FastTickDone:
 
     def serialize(self, sec: int, nanosec: int) -> bytes:
         """Returns the message for the tick with this stamp."""
-        before, after = self._constants
-        return self._pack(before, sec, nanosec, after)
+        start, end = self._constants
+        return self._pack(start, sec, nanosec, end)
 
 
 class RelativePoses:
