@@ -84,11 +84,11 @@ const on = {
   doors(value) { panels.setDoors(value); floor.doors = value; floor.draw(); },
   entities(value) { panels.setEntities(value); floor.entities = value; floor.draw(); },
   catalogue(value) {
-    const before = $('catalogue').value;
-    const groups = [['objects', value.filter((c) => !c.robot)], ['robots', value.filter((c) => c.robot)]].filter(([, found]) => found.length);
-    $('catalogue').replaceChildren(...groups.map(([label, found]) => {
+    const previous = $('catalogue').value;
+    const groups = [['objects', value.filter((c) => !c.robot)], ['robots', value.filter((c) => c.robot)]].filter(([, items]) => items.length);
+    $('catalogue').replaceChildren(...groups.map(([label, items]) => {
       const group = Object.assign(document.createElement('optgroup'), { label });
-      group.append(...found.map((c) => new Option(c.name, c.uri, false, c.uri === before)));
+      group.append(...items.map((c) => new Option(c.name, c.uri, false, c.uri === previous)));
       return group;
     }));
     $('catalogue').hidden = !value.length;

@@ -92,11 +92,11 @@ export class Panels {
     $('task-error').textContent = t.error;
   }
 
-  setDiagnostics(found) {
-    $('diagnostics-empty').hidden = found.length > 0;
-    const worst = Math.max(0, ...found.map((d) => (d.level < 3 ? d.level : 0)));
+  setDiagnostics(diagnostics) {
+    $('diagnostics-empty').hidden = diagnostics.length > 0;
+    const worst = Math.max(0, ...diagnostics.map((d) => (d.level < 3 ? d.level : 0)));
     $('health').className = `dot level${worst}`; $('health').title = LEVELS[worst];
-    keyed($('diagnostics'), found, (d) => d.name, () => { const li = element('li'); li.append(element('span'), element('small')); return li; }, (li, d) => {
+    keyed($('diagnostics'), diagnostics, (d) => d.name, () => { const li = element('li'); li.append(element('span'), element('small')); return li; }, (li, d) => {
       li.className = `level${d.level}`;
       li.children[0].textContent = d.name.replace(/^gibson_sim: /, ''); li.children[1].textContent = d.message;
       li.title = d.values.map(([k, v]) => `${k}: ${v}`).join('\n');

@@ -18,8 +18,8 @@ export class Videos {
   setTopics(topics) { this.topics = topics; this.update(); }
 
   update() {
-    const there = new Set(this.topics.map((t) => t.topic));
-    if (![...this.watched].some((t) => there.has(t)) && this.topics.length) this.watched.add(this.topics[0].topic);
+    const available = new Set(this.topics.map((t) => t.topic));
+    if (![...this.watched].some((t) => available.has(t)) && this.topics.length) this.watched.add(this.topics[0].topic);
     $('topics').replaceChildren(...this.topics.map((t) => {
       const button = element('button', t.label, { title: t.topic });
       button.setAttribute('aria-pressed', this.watched.has(t.topic));
@@ -27,7 +27,7 @@ export class Videos {
       return button;
     }));
     $('pictures').hidden = !this.topics.length;
-    for (const [topic, video] of this.shown) if (!this.watched.has(topic) || !there.has(topic)) { video.figure.remove(); this.shown.delete(topic); }
+    for (const [topic, video] of this.shown) if (!this.watched.has(topic) || !available.has(topic)) { video.figure.remove(); this.shown.delete(topic); }
     for (const t of this.topics) if (this.watched.has(t.topic) && !this.shown.has(t.topic)) this.shown.set(t.topic, this.make(t));
     const columns = this.shown.size > 2 ? 2 : 1;
     $('videos').style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
