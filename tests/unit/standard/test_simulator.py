@@ -410,7 +410,7 @@ def test_installed_things_are_listed_once_however_many_sources_there_are(monkeyp
     sources = tuple(str(write_room(tmp_path / str(k))) for k in range(4))
     catalogue.available_worlds(sources, TagsFilter(), continue_on_error=False)
     catalogue.spawnables(sources)
-    assert sorted(listed) == ["known_scenes", "built_in_spawnables"]
+    assert sorted(listed) == ["built_in_spawnables", "known_scenes"]
 
 
 def test_spawnables_name_the_sources_that_are_none_and_go_on(tmp_path: Path) -> None:
