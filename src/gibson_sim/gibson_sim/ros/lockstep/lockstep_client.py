@@ -20,8 +20,9 @@ SETTLED_S = 1.0
 
 
 class LockstepParticipant:
-    """Reports the ticks that a node has finished to a simulation in lockstep. Without lockstep ``tick_done`` has no subscriber, and reports
-    cost nothing.
+    """Reports the ticks that a node has finished to a simulation in lockstep.
+
+    Without lockstep ``tick_done`` has no subscriber, and reports cost nothing.
 
     Publishes:
         tick_done (gibson_msgs/TickDone).
