@@ -32,7 +32,7 @@ def test_a_box_encloses_its_volume_and_stands_without_an_underside() -> None:
     hanging, standing, open_ = MeshBuilder(), MeshBuilder(), MeshBuilder()
     hanging.box((0, 0, 1), (1, 2, 4), GREY)
     standing.box((0, 0, 0), (1, 2, 3), GREY)
-    open_.box((0, 0, 1), (1, 2, 4), GREY, but=("+x", "-y"))
+    open_.box((0, 0, 1), (1, 2, 4), GREY, omit=("+x", "-y"))
     assert volume(hanging) == pytest.approx(6.0)
     assert (hanging.triangle_count, standing.triangle_count, open_.triangle_count) == (12, 10, 8)
 
@@ -122,7 +122,7 @@ def test_plaster_keeps_its_colour_and_walls_are_darker_at_both_ends() -> None:
 
 
 def test_tiles_have_joints_every_side_and_floors_are_darker_under_furniture() -> None:
-    floor = textures.tiles(np.random.default_rng(0), (1.2, 0.6), 100, (0.2, 0.3, 0.4), side=0.3)
+    floor = textures.tiles(np.random.default_rng(0), (1.2, 0.6), 100, (0.2, 0.3, 0.4), tile_size=0.3)
     assert floor.shape == (60, 120, 3)
     joints = np.flatnonzero((floor == 0.72).all(axis=(0, 2)))
     assert joints.tolist() == [0, 30, 60, 90]

@@ -13,12 +13,12 @@ SCENES = ("flat", "rooms")
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Runs the generator that is named on the command line."""
+    """Runs the generator named on the command line."""
     parser = argparse.ArgumentParser(prog="python -m gibson_sim_tools.generator", description=__doc__)
     parser.add_argument("scene", choices=SCENES)
-    parser.add_argument("folder", type=Path, help="created if missing; files of the same names are replaced")
+    parser.add_argument("folder", type=Path, help="output folder, created if missing; files with the same names are replaced")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--triangles", type=int, default=100_000, help="of rooms (default: 100000)")
+    parser.add_argument("--triangles", type=int, default=100_000, help="number of triangles of rooms (default: 100000)")
     args = parser.parse_args(argv)
     if args.scene == "flat":
         make_flat(args.folder, args.seed)

@@ -1,7 +1,7 @@
 """Generates the scene ``flat``: a hall with a living room, a kitchen, a bedroom and a bathroom.
 
-Metres, x to the east, y to the north, z up, the origin at the south-west corner of the inside. Walls are 0.12 m thick and
-stand on the lines that the plan names.
+Metres, x east, y north, z up, the origin at the south-west corner. Walls are 0.12 m thick and centred on the lines of the
+plan.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class FlatRoom:
     y1: float
     wall: textures.Rgb
     floor: str
-    """planks or tiles."""
+    """Floor covering: planks or tiles."""
 
-    def holds(self, x: float, y: float) -> bool:
-        """Returns whether a point is in the room."""
+    def contains(self, x: float, y: float) -> bool:
+        """Returns whether a point, m, is in the room."""
         return self.x0 <= x <= self.x1 and self.y0 <= y <= self.y1
 
 
@@ -57,12 +57,12 @@ ROOMS = (
 
 
 _CLASSES = {"living": "living_room"}
-"""Room classes that differ from the name."""
+"""Room classes that differ from the room's name."""
 
 
 @dataclass(frozen=True)
 class FlatOpening:
-    """A hole in a wall, from ``start`` to ``end`` along it."""
+    """An opening in a wall, from ``start`` to ``end`` along it, m."""
 
     start: float
     end: float
@@ -71,7 +71,7 @@ class FlatOpening:
 
     @property
     def is_window(self) -> bool:
-        """Whether it does not reach the floor."""
+        """Whether the opening is a window: it does not reach the floor."""
         return self.low > 0.0
 
 
@@ -81,7 +81,7 @@ def _window(start: float, end: float, low: float = 0.85, high: float = 2.1) -> F
 
 @dataclass(frozen=True)
 class FlatWall:
-    """A wall along x (``at`` is its y) or along y (``at`` is its x), from ``start`` to ``end``."""
+    """A wall along x (``at`` is its y) or along y (``at`` is its x), from ``start`` to ``end``, m."""
 
     along: str
     at: float
@@ -90,7 +90,7 @@ class FlatWall:
     openings: tuple[FlatOpening, ...] = ()
 
     def point(self, along: float, across: float, z: float) -> tuple[float, float, float]:
-        """Returns a point given along the wall, across it from its middle line, and upwards."""
+        """Returns the point at a position along the wall, a distance from its centre line, and a height, m."""
         return (along, self.at + across, z) if self.along == "x" else (self.at + across, along, z)
 
 
@@ -122,7 +122,7 @@ class _Flat:
     objects: list[dict[str, object]] = field(default_factory=list)
 
     def rng(self, name: str) -> np.random.Generator:
-        """Returns a random generator per texture, so that a new texture changes no other."""
+        """Returns a separate random generator for each texture, so that a new texture does not change the others."""
         return np.random.default_rng([self.seed, *name.encode()])
 
     def texture(self, name: str, image: textures.Image, quality: int = 88) -> str:
@@ -141,7 +141,7 @@ class _Flat:
         xy: tuple[float, float] = (0.0, 0.0),
         yaw_deg: float = 0.0,
     ) -> None:
-        """Writes a mesh and lists it as an object."""
+        """Writes a mesh and adds an object for it."""
         write_glb(self.folder / "assets" / f"{name}.glb", solid)
         self.place(name, name, semantic_class, collision=collision, xy=xy, yaw_deg=yaw_deg)
 
@@ -155,7 +155,7 @@ class _Flat:
         xy: tuple[float, float] = (0.0, 0.0),
         yaw_deg: float = 0.0,
     ) -> None:
-        """Lists an object with an existing mesh."""
+        """Adds an object with an existing mesh."""
         item: dict[str, object] = {
             "name": name,
             "mesh": f"assets/{mesh}.glb",
@@ -179,9 +179,9 @@ def make_flat(folder: Path, seed: int = 1) -> None:
             flat.place(
                 piece.name, piece.mesh, piece.semantic_class, xy=piece.xy, yaw_deg=piece.yaw_deg, collision=piece.collision
             )
-    _make_walls(flat)
-    _make_floors(flat, [p.footprint for p in placed if p.footprint])
-    _make_frames(flat)
+    _add_walls(flat)
+    _add_floors(flat, [p.footprint for p in placed if p.footprint])
+    _add_frames(flat)
     description = {
         "name": "flat",
         "description": "A flat of five rooms, 9 x 8.6 m, made by gibson_sim_tools.generator",
@@ -204,8 +204,8 @@ def make_flat(folder: Path, seed: int = 1) -> None:
     write_file(folder / "LICENSE", LICENSE)
 
 
-def _make_walls(flat: _Flat) -> None:
-    """Adds walls in pieces around their openings; each side has the colour of its room."""
+def _add_walls(flat: _Flat) -> None:
+    """Adds walls, in pieces around their openings; each side has the colour of its room."""
     materials = {
         room.name: MeshMaterial(
             f"wall_{room.name}", flat.texture(f"wall_{room.name}", textures.wall(flat.rng(room.name), room.wall)), metres=HEIGHT
@@ -219,14 +219,14 @@ def _make_walls(flat: _Flat) -> None:
         # Adjacent walls overlap, so that corners are closed.
         edges = [(wall.start - half, 0.0)]
         pieces: list[tuple[float, float, float, float]] = []
-        at = edges[0][0]
+        position = edges[0][0]
         for hole in wall.openings:
-            pieces.append((at, hole.start, 0.0, HEIGHT))
+            pieces.append((position, hole.start, 0.0, HEIGHT))
             pieces.append((hole.start, hole.end, hole.high, HEIGHT))
             if hole.low > 0.0:
                 pieces.append((hole.start, hole.end, 0.0, hole.low))
-            at = hole.end
-        pieces.append((at, wall.end + half, 0.0, HEIGHT))
+            position = hole.end
+        pieces.append((position, wall.end + half, 0.0, HEIGHT))
         for start, end, low, high in pieces:
             _wall_piece(solid, wall, (start, end, low, high), materials, outside)
     flat.add("walls", solid, "wall")
@@ -239,16 +239,16 @@ def _wall_piece(
     materials: dict[str, MeshMaterial],
     outside: MeshMaterial,
 ) -> None:
-    """Adds one box of a wall. Its sides are split where the adjacent room changes; the texture spans the height of the room."""
+    """Adds one box of a wall. Its sides are split where the adjacent room changes; the texture spans the room height."""
     start, end, low, high = extent
     half = THICKNESS / 2
-    cuts = sorted(
+    splits = sorted(
         {start, end, *(c for r in ROOMS for c in ((r.x0, r.x1) if wall.along == "x" else (r.y0, r.y1)) if start < c < end)}
     )
     for side in (-1.0, 1.0):
-        for a, b in pairwise(cuts):
+        for a, b in pairwise(splits):
             x, y, _ = wall.point((a + b) / 2, side * (half + 0.05), 0.0)
-            material = next((materials[r.name] for r in ROOMS if r.holds(x, y)), outside)
+            material = next((materials[r.name] for r in ROOMS if r.contains(x, y)), outside)
             # Seen from its room, a wall along x runs to the right on its south side, to the left on its north side.
             flip = (side > 0) == (wall.along == "x")
             p, q = (b, a) if flip else (a, b)
@@ -259,11 +259,11 @@ def _wall_piece(
     ends = [wall.point(s, c, z) for s in (start, end) for c in (-half, half) for z in (low, high)]
     corners_low, corners_high = np.min(ends, axis=0), np.max(ends, axis=0)
     sides = ("-y", "+y") if wall.along == "x" else ("-x", "+x")
-    solid.box(corners_low, corners_high, jamb, but=sides)
+    solid.box(corners_low, corners_high, jamb, omit=sides)
 
 
-def _make_floors(flat: _Flat, footprints: Sequence[tuple[float, float, float, float]]) -> None:
-    """Adds a floor and a ceiling per room; each floor has its own texture, shaded along walls and under furniture."""
+def _add_floors(flat: _Flat, footprints: Sequence[tuple[float, float, float, float]]) -> None:
+    """Adds a floor and a ceiling for each room; each floor has its own texture, shaded along walls and under furniture."""
     floors, ceilings = MeshBuilder(), MeshBuilder()
     white = MeshMaterial("ceiling", flat.texture("ceiling", textures.ceiling()))
     for room in ROOMS:
@@ -278,15 +278,15 @@ def _make_floors(flat: _Flat, footprints: Sequence[tuple[float, float, float, fl
             f"floor_{room.name}", flat.texture(f"floor_{room.name}", textures.shaded_floor(base, PX_PER_M, inside))
         )
         x0, y0, x1, y1 = room.x0, room.y0, room.x1, room.y1
-        whole = [(0, 1), (1, 1), (1, 0), (0, 0)]
-        floors.quad(material, [(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)], whole)
-        ceilings.quad(white, [(x0, y1, HEIGHT), (x1, y1, HEIGHT), (x1, y0, HEIGHT), (x0, y0, HEIGHT)], whole)
+        full_uvs = [(0, 1), (1, 1), (1, 0), (0, 0)]
+        floors.quad(material, [(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)], full_uvs)
+        ceilings.quad(white, [(x0, y1, HEIGHT), (x1, y1, HEIGHT), (x1, y0, HEIGHT), (x0, y0, HEIGHT)], full_uvs)
     flat.add("floors", floors, "floor", collision="none")
     flat.add("ceilings", ceilings, "ceiling", collision="none")
 
 
-def _make_frames(flat: _Flat) -> None:
-    """Adds door frames, windows with the view behind them, and skirting boards."""
+def _add_frames(flat: _Flat) -> None:
+    """Adds door frames, windows with the view outside, and skirting boards."""
     frames, windows, skirting = MeshBuilder(), MeshBuilder(), MeshBuilder()
     white = MeshMaterial("frame", color=(0.83, 0.82, 0.79))
     view = MeshMaterial("view", flat.texture("view", textures.view_outside(flat.rng("view"))), unlit=True)
@@ -310,29 +310,31 @@ def _make_frames(flat: _Flat) -> None:
     flat.add("entrance_door", door, "door")
 
 
-def _span(
+def _box_corners(
     wall: FlatWall, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners of a box, given along and across a wall."""
+    """Returns the lower and upper corner of a box given by intervals along a wall, across it, and in height, m."""
     a, b = wall.point(along[0], across[0], z[0]), wall.point(along[1], across[1], z[1])
     return np.minimum(a, b), np.maximum(a, b)
 
 
 def _door_frame(solid: MeshBuilder, wall: FlatWall, hole: FlatOpening, material: MeshMaterial) -> None:
-    deep, wide = THICKNESS / 2 + 0.015, 0.06
-    for start in (hole.start - wide + 0.01, hole.end - 0.01):
-        solid.box(*_span(wall, (start, start + wide), (-deep, deep), (0.0, hole.high + wide)), material)
-    solid.box(*_span(wall, (hole.start, hole.end), (-deep, deep), (hole.high - 0.01, hole.high + wide)), material)
+    half_depth, width = THICKNESS / 2 + 0.015, 0.06
+    for start in (hole.start - width + 0.01, hole.end - 0.01):
+        solid.box(*_box_corners(wall, (start, start + width), (-half_depth, half_depth), (0.0, hole.high + width)), material)
+    solid.box(
+        *_box_corners(wall, (hole.start, hole.end), (-half_depth, half_depth), (hole.high - 0.01, hole.high + width)), material
+    )
 
 
 def _window_parts(solid: MeshBuilder, wall: FlatWall, hole: FlatOpening, material: MeshMaterial, view: MeshMaterial) -> None:
-    deep, bar = 0.03, 0.05
+    half_depth, bar = 0.03, 0.05
     for start in (hole.start, hole.end - bar, (hole.start + hole.end - bar) / 2):
-        solid.box(*_span(wall, (start, start + bar), (-deep, deep), (hole.low, hole.high)), material)
+        solid.box(*_box_corners(wall, (start, start + bar), (-half_depth, half_depth), (hole.low, hole.high)), material)
     for low in (hole.low, hole.high - bar):
-        solid.box(*_span(wall, (hole.start, hole.end), (-deep, deep), (low, low + bar)), material)
+        solid.box(*_box_corners(wall, (hole.start, hole.end), (-half_depth, half_depth), (low, low + bar)), material)
     sill = 0.12 if wall.at in (0.0,) else -0.12
-    solid.box(*_span(wall, (hole.start - 0.05, hole.end + 0.05), (0.0, sill), (hole.low - 0.03, hole.low)), material)
+    solid.box(*_box_corners(wall, (hole.start - 0.05, hole.end + 0.05), (0.0, sill), (hole.low - 0.03, hole.low)), material)
     inward = 1.0 if wall.at == 0.0 else -1.0
     # Seen from inside, the picture runs from left to right.
     flip = (inward > 0) == (wall.along == "x")
@@ -344,11 +346,11 @@ def _window_parts(solid: MeshBuilder, wall: FlatWall, hole: FlatOpening, materia
 def _skirting(solid: MeshBuilder, wall: FlatWall, side: float, material: MeshMaterial, half: float) -> None:
     """Adds 8 cm skirting along one side of a wall, between its doors, inside the flat."""
     x, y, _ = wall.point((wall.start + wall.end) / 2, side * (half + 0.05), 0.0)
-    if not any(r.holds(x, y) for r in ROOMS):
+    if not any(r.contains(x, y) for r in ROOMS):
         return
     at = wall.start
     for hole in [*(h for h in wall.openings if not h.is_window), None]:
         end = wall.end if hole is None else hole.start - 0.05
-        solid.box(*_span(wall, (at, end), (side * half, side * (half + 0.014)), (0.0, 0.08)), material)
+        solid.box(*_box_corners(wall, (at, end), (side * half, side * (half + 0.014)), (0.0, 0.08)), material)
         if hole is not None:
             at = hole.end + 0.05

@@ -1,4 +1,4 @@
-"""Furniture of the flat: each piece stands on its own origin, looking along -y, and is placed by (x, y, yaw)."""
+"""Furnishes the flat. Each piece is modelled at the origin with its front along -y, and placed at (x, y, yaw)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FlatPiece:
     collision: str = "same"
     mesh: str = ""
     footprint: Box | None = None
-    """(x0, y0, x1, y1) on the floor, for its shadow."""
+    """Footprint, (x0, y0, x1, y1), m, for its shadow on the floor."""
 
 
 @dataclass(frozen=True)
@@ -82,28 +82,28 @@ def furnish(save: SaveTexture, rng: MakeRng) -> list[FlatPiece]:
     """Returns the furniture of the flat; writes textures through ``save``."""
     p = _materials(save, rng)
     pieces = [
-        _put("sofa", "sofa", _sofa(p), (1.35, 2.4), 90.0, (1.8, 0.9)),
-        _put("coffee_table", "table", _table(p.walnut, 1.0, 0.55, 0.42), (2.75, 2.4), 90.0, (1.0, 0.55)),
-        _put("tv_board", "cabinet", _tv(p), (4.88, 3.15), -90.0, (1.3, 0.4)),
-        _put("bookshelf", "shelf", _bookshelf(p), (2.7, 3.76), 0.0, (1.0, 0.3)),
-        _put("armchair", "chair", _armchair(p), (3.7, 0.75), 160.0, (0.8, 0.8)),
-        _put("plant", "plant", _plant(p, rng("plant")), (0.5, 0.5), 0.0, (0.35, 0.35)),
-        _put("floor_lamp", "lamp", _lamp(p), (0.45, 3.6), 0.0, (0.3, 0.3)),
-        _put("rug", "rug", _rug(p.rug, 2.2, 1.5), (2.75, 2.4), 90.0, None, "none"),
-        _put("kitchen_counter", "counter", _counter(p), (7.58, 0.36), 180.0, (2.7, 0.6)),
-        _put("fridge", "fridge", _fridge(p), (5.72, 0.38), 180.0, (0.62, 0.62)),
-        _put("dining_table", "table", _table(p.oak, 1.5, 0.85, 0.74), (7.6, 2.5), 0.0, (1.5, 0.85)),
-        _put("chair", "chair", _chair(p), (7.2, 3.1), 0.0, (0.42, 0.42)),
-        _put("bed", "bed", _bed(p), (4.24, 7.3), 90.0, (1.64, 2.1)),
-        _put("nightstand", "nightstand", _nightstand(p), (5.08, 6.2), 90.0, (0.42, 0.42)),
-        _put("wardrobe", "wardrobe", _wardrobe(p), (0.4, 8.05), -90.0, (0.95, 0.6)),
-        _put("desk", "table", _table(p.oak, 1.2, 0.6, 0.74), (0.4, 6.9), 90.0, (1.2, 0.6)),
-        _put("bedroom_rug", "rug", _rug(p.runner, 1.4, 2.0), (2.5, 7.4), 0.0, None, "none"),
-        _put("bath", "bath", _bath(p), (8.02, 8.17), 0.0, (1.7, 0.72)),
-        _put("basin", "basin", _basin(p), (5.72, 7.0), 90.0, (0.8, 0.46)),
-        _put("toilet", "toilet", _toilet(p), (8.6, 6.4), -90.0, (0.4, 0.66)),
-        _put("shoe_cabinet", "cabinet", _nightstand(p, 1.0, 0.24, 0.8), (5.2, 5.2), 0.0, (1.0, 0.24)),
-        _put("hall_runner", "rug", _rug(p.runner, 2.4, 0.8), (6.4, 4.6), 0.0, None, "none"),
+        _piece("sofa", "sofa", _sofa(p), (1.35, 2.4), 90.0, (1.8, 0.9)),
+        _piece("coffee_table", "table", _table(p.walnut, 1.0, 0.55, 0.42), (2.75, 2.4), 90.0, (1.0, 0.55)),
+        _piece("tv_board", "cabinet", _tv(p), (4.88, 3.15), -90.0, (1.3, 0.4)),
+        _piece("bookshelf", "shelf", _bookshelf(p), (2.7, 3.76), 0.0, (1.0, 0.3)),
+        _piece("armchair", "chair", _armchair(p), (3.7, 0.75), 160.0, (0.8, 0.8)),
+        _piece("plant", "plant", _plant(p, rng("plant")), (0.5, 0.5), 0.0, (0.35, 0.35)),
+        _piece("floor_lamp", "lamp", _lamp(p), (0.45, 3.6), 0.0, (0.3, 0.3)),
+        _piece("rug", "rug", _rug(p.rug, 2.2, 1.5), (2.75, 2.4), 90.0, None, "none"),
+        _piece("kitchen_counter", "counter", _counter(p), (7.58, 0.36), 180.0, (2.7, 0.6)),
+        _piece("fridge", "fridge", _fridge(p), (5.72, 0.38), 180.0, (0.62, 0.62)),
+        _piece("dining_table", "table", _table(p.oak, 1.5, 0.85, 0.74), (7.6, 2.5), 0.0, (1.5, 0.85)),
+        _piece("chair", "chair", _chair(p), (7.2, 3.1), 0.0, (0.42, 0.42)),
+        _piece("bed", "bed", _bed(p), (4.24, 7.3), 90.0, (1.64, 2.1)),
+        _piece("nightstand", "nightstand", _nightstand(p), (5.08, 6.2), 90.0, (0.42, 0.42)),
+        _piece("wardrobe", "wardrobe", _wardrobe(p), (0.4, 8.05), -90.0, (0.95, 0.6)),
+        _piece("desk", "table", _table(p.oak, 1.2, 0.6, 0.74), (0.4, 6.9), 90.0, (1.2, 0.6)),
+        _piece("bedroom_rug", "rug", _rug(p.runner, 1.4, 2.0), (2.5, 7.4), 0.0, None, "none"),
+        _piece("bath", "bath", _bath(p), (8.02, 8.17), 0.0, (1.7, 0.72)),
+        _piece("basin", "basin", _basin(p), (5.72, 7.0), 90.0, (0.8, 0.46)),
+        _piece("toilet", "toilet", _toilet(p), (8.6, 6.4), -90.0, (0.4, 0.66)),
+        _piece("shoe_cabinet", "cabinet", _nightstand(p, 1.0, 0.24, 0.8), (5.2, 5.2), 0.0, (1.0, 0.24)),
+        _piece("hall_runner", "rug", _rug(p.runner, 2.4, 0.8), (6.4, 4.6), 0.0, None, "none"),
     ]
     for name, xy, yaw in (
         ("chair_2", (8.0, 3.1), 0.0),
@@ -126,7 +126,7 @@ def furnish(save: SaveTexture, rng: MakeRng) -> list[FlatPiece]:
     return pieces + _pictures(save, rng, p)
 
 
-def _put(
+def _piece(
     name: str,
     semantic_class: str,
     solid: MeshBuilder,
@@ -141,15 +141,15 @@ def _put(
 
 
 def _footprint(xy: tuple[float, float], yaw_deg: float, size: tuple[float, float]) -> Box:
-    """Returns the bounding rectangle of a rotated one of ``size`` (width, depth)."""
+    """Returns the bounding rectangle of a rotated rectangle. ``size``: width, depth, m."""
     c, s = abs(math.cos(math.radians(yaw_deg))), abs(math.sin(math.radians(yaw_deg)))
     w, h = (size[0] * c + size[1] * s) / 2, (size[0] * s + size[1] * c) / 2
     return (xy[0] - w, xy[1] - h, xy[0] + w, xy[1] + h)
 
 
 def _pictures(save: SaveTexture, rng: MakeRng, p: _Materials) -> list[FlatPiece]:
-    """Returns framed paintings on walls; (x, y) is on the wall, -y of the piece points into the room."""
-    hung = (
+    """Returns framed paintings; (x, y) is on the wall, and -y of a piece points into the room."""
+    poses = (
         (0.075, 3.35, 90.0),
         (3.15, 5.325, 0.0),
         (1.0, 5.325, 0.0),
@@ -158,7 +158,7 @@ def _pictures(save: SaveTexture, rng: MakeRng, p: _Materials) -> list[FlatPiece]
         (5.5, 4.075, 180.0),
     )
     pieces = []
-    for number, (x, y, yaw) in enumerate(hung, start=1):
+    for number, (x, y, yaw) in enumerate(poses, start=1):
         name = f"painting_{number}"
         solid = MeshBuilder()
         art = MeshMaterial(name, save(name, textures.painting(rng(name))))
@@ -242,7 +242,7 @@ def _bookshelf(p: _Materials) -> MeshBuilder:
             front = [(left, -0.08, z + 0.03), (right, -0.08, z + 0.03), (right, -0.08, z + 0.31), (left, -0.08, z + 0.31)]
             u = (right - left) / 0.9
             solid.quad(p.books, front, [(shift, 1), (shift + u, 1), (shift + u, 0), (shift, 0)])
-            solid.box((left, -0.078, z + 0.03), (right, 0.12, z + 0.26), p.linen, but=("-y",))
+            solid.box((left, -0.078, z + 0.03), (right, 0.12, z + 0.26), p.linen, omit=("-y",))
     solid.cylinder((0.1, -0.02, 0.83), 0.07, 0.2, p.pot, top=0.04)
     return solid
 
@@ -306,7 +306,7 @@ def _fridge(p: _Materials) -> MeshBuilder:
 
 
 def _bed(p: _Materials) -> MeshBuilder:
-    """The head is at -y."""
+    """Returns a bed with its head at -y."""
     solid = MeshBuilder()
     _legs(solid, p.walnut, (0.8, 1.0), 0.16, 0.08)
     solid.box((-0.82, -1.05, 0.16), (0.82, 1.03, 0.3), p.walnut)

@@ -22,11 +22,11 @@ class MeshMaterial:
 
     name: str
     texture: str = ""
-    """File name; empty = none."""
+    """File name of the texture; empty = none."""
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Linear; multiplies the texture."""
+    """Linear colour, 0 to 1; multiplies the texture."""
     metres: float = 1.0
-    """Size of one repeat of the texture."""
+    """Size of one repeat of the texture, m."""
     unlit: bool = False
 
 
@@ -35,20 +35,21 @@ class MeshBuilder:
     """Builds a mesh from primitives, grouped by material. Metres, z up."""
 
     points: dict[MeshMaterial, list[F32]] = field(default_factory=dict)
-    """(N, 8) blocks: position, normal, uv (v = 0 at the top of the image)."""
+    """Blocks of vertices, (N, 8): position, normal, uv (v = 0 at the top of the image)."""
     faces: dict[MeshMaterial, list[NDArray[np.uint32]]] = field(default_factory=dict)
+    """Blocks of triangles, (F, 3)."""
 
     def add(self, material: MeshMaterial, positions: ArrayLike, normals: ArrayLike, uvs: ArrayLike, triangles: ArrayLike) -> None:
         """Adds triangles (F, 3) over positions (N, 3), normals (N, 3) and uvs (N, 2)."""
-        before = sum(len(block) for block in self.points.setdefault(material, []))
+        vertex_count = sum(len(block) for block in self.points.setdefault(material, []))
         block = np.hstack([np.asarray(a, dtype=np.float32) for a in (positions, normals, uvs)])
         self.points[material].append(block)
-        self.faces.setdefault(material, []).append(np.asarray(triangles, dtype=np.uint32) + np.uint32(before))
+        self.faces.setdefault(material, []).append(np.asarray(triangles, dtype=np.uint32) + np.uint32(vertex_count))
 
     def quad(self, material: MeshMaterial, corners: ArrayLike, uvs: ArrayLike | None = None) -> None:
-        """Adds a flat quad, corners (4, 3) counter-clockwise seen from outside, the first at the lower left.
+        """Adds a flat quad. ``corners``: (4, 3), counter-clockwise seen from outside, the first at the lower left.
 
-        Without ``uvs`` the texture repeats every ``material.metres``, upright along the first edge; with them, (4, 2).
+        Without ``uvs``, (4, 2), the texture repeats every ``material.metres``, upright along the first edge.
         """
         p = np.asarray(corners, dtype=np.float64)
         u, v = p[1] - p[0], p[3] - p[0]
@@ -58,9 +59,9 @@ class MeshBuilder:
         repeated = np.array([[0, 0], [w, 0], [w, -h], [0, -h]])
         self.add(material, p, np.tile(normal, (4, 1)), repeated if uvs is None else uvs, [[0, 1, 2], [0, 2, 3]])
 
-    def box(self, low: ArrayLike, high: ArrayLike, material: MeshMaterial, *, but: Iterable[str] = ()) -> None:
-        """Adds a box without the faces in ``but``, of -x +x -y +y -z +z; a box on the floor has no underside."""
-        hidden = {*but, "-z"} if np.asarray(low, dtype=float)[2] <= 0.0 else set(but)
+    def box(self, low: ArrayLike, high: ArrayLike, material: MeshMaterial, *, omit: Iterable[str] = ()) -> None:
+        """Adds a box between two corners, m, without the sides in ``omit`` (-x +x -y +y -z +z); a box on the floor has no underside."""
+        hidden = {*omit, "-z"} if np.asarray(low, dtype=float)[2] <= 0.0 else set(omit)
         (x0, y0, z0), (x1, y1, z1) = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         corners = {
             "-x": [(x0, y1, z0), (x0, y0, z0), (x0, y0, z1), (x0, y1, z1)],
@@ -84,17 +85,17 @@ class MeshBuilder:
         top: float | None = None,
         sides: int = 20,
     ) -> None:
-        """Adds an upright cylinder, or a cone with radius ``top`` above, standing on ``center``."""
+        """Adds a vertical cylinder with its base at ``center``, or a truncated cone with the upper radius ``top``, m."""
         c, top = np.asarray(center, dtype=float), radius if top is None else top
         angle = np.linspace(0.0, 2 * np.pi, sides + 1)
-        around = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-        low, high = c + around * radius, c + around * top + np.array([0, 0, height])
+        circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+        low, high = c + circle * radius, c + circle * top + np.array([0, 0, height])
         u = angle / (2 * np.pi) * (2 * np.pi * radius / material.metres)
         uv = np.concatenate([np.stack([u, 0 * u], 1), np.stack([u, 0 * u - height / material.metres], 1)])
         i = np.arange(sides)
         n = sides + 1
         triangles = np.concatenate([np.stack([i, i + 1, i + 1 + n], 1), np.stack([i, i + 1 + n, i + n], 1)])
-        self.add(material, np.concatenate([low, high]), np.tile(around, (2, 1)), uv, triangles)
+        self.add(material, np.concatenate([low, high]), np.tile(circle, (2, 1)), uv, triangles)
         for ring, r, up in ((high, top, 1.0), (low, radius, -1.0)):
             if r <= 0.0 or (up < 0 and c[2] <= 0.0):
                 continue
@@ -104,7 +105,7 @@ class MeshBuilder:
             self.add(material, points, np.tile([0, 0, up], (len(points), 1)), points[:, :2] / material.metres, fan)
 
     def cushion(self, low: ArrayLike, high: ArrayLike, material: MeshMaterial, round_by: float = 0.05, steps: int = 2) -> None:
-        """Adds a box with rounded edges and corners of radius ``round_by``."""
+        """Adds a box with rounded edges and corners of radius ``round_by``, m."""
         low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         center, half = (low + high) / 2, (high - low) / 2
         inner = np.maximum(half - round_by, 0.0)
@@ -132,7 +133,7 @@ class MeshBuilder:
 
 
 def write_glb(path: Path, mesh: MeshBuilder) -> None:
-    """Writes a mesh as GLB with external textures."""
+    """Writes a mesh as GLB with external textures, y up."""
     builder = GlbBuilder()
     for material, blocks in mesh.points.items():
         rows = np.concatenate(blocks)
@@ -147,15 +148,15 @@ def write_glb(path: Path, mesh: MeshBuilder) -> None:
 
 
 def _y_up(z_up: F32) -> F32:
-    """Returns (N, 3) vectors in the axes of glTF: x stays, up is y."""
+    """Converts vectors, (N, 3), from z up to the y-up axes of glTF."""
     return np.stack([z_up[:, 0], z_up[:, 2], -z_up[:, 1]], axis=1)
 
 
 def _material(material: MeshMaterial, builder: GlbBuilder) -> dict[str, Any]:
-    surface: dict[str, Any] = {"baseColorFactor": [*material.color, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
+    pbr: dict[str, Any] = {"baseColorFactor": [*material.color, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
     if material.texture:
-        surface["baseColorTexture"] = {"index": builder.texture_file(material.texture)}
-    out: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": surface, "doubleSided": True}
+        pbr["baseColorTexture"] = {"index": builder.texture_file(material.texture)}
+    gltf_material: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": pbr, "doubleSided": True}
     if material.unlit:
-        out["extensions"] = {"KHR_materials_unlit": {}}
-    return out
+        gltf_material["extensions"] = {"KHR_materials_unlit": {}}
+    return gltf_material

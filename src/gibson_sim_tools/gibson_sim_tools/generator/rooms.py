@@ -1,8 +1,7 @@
-"""Generates an indoor floor like a scan, for benchmarks of renderers: dense, uneven surfaces and one baked atlas.
+"""Generates a scan-like indoor floor for renderer benchmarks: dense, uneven surfaces and one baked atlas.
 
-Twelve rooms of 14 x 10 m, 2.6 m high, joined by doors and furnished. The plan is always the same; the seed decides furniture,
-unevenness and pictures; the number of triangles decides nothing but the density. x to the east, y to the north, z up, the origin
-at the south-west corner.
+Twelve furnished rooms on 14 x 10 m, 2.6 m high, connected by doors. The plan is fixed; the seed determines furniture, unevenness
+and pictures; the number of triangles determines only the density. x east, y north, z up, the origin at the south-west corner.
 """
 
 from __future__ import annotations
@@ -37,16 +36,23 @@ HALF_WALL = 0.06
 DOOR_WIDTH = 1.0
 DOOR_HEIGHT = 2.05
 CAMERA_HEIGHT = 1.2
-_BELOW = 0.03
-"""Extension of walls below the uneven floor and above the uneven ceiling, metres."""
+_WALL_EXTENSION = 0.03
+"""Extension of walls below the uneven floor and above the uneven ceiling, m."""
 _TOUR = ((0, 0), (1, 0), (2, 0), (3, 0), (3, 1), (3, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2), (0, 1))
-"""(column, row) of the rooms in the order of the camera path."""
-_MORE_DOORS = (((1, 0), (1, 1)), ((2, 1), (3, 1)), ((0, 1), (1, 1)))
-_DOOR_SHIFT = (0.3, -0.4, 0.1, 0.35, -0.2, -0.35, 0.25, 0.0, -0.3, 0.4, -0.1, 0.2, 0.5, -0.5, 0.4)
-"""Offsets of doors from the centres of their walls, metres."""
+"""Rooms, (column, row), in the order of the camera path."""
+_EXTRA_DOORS = (((1, 0), (1, 1)), ((2, 1), (3, 1)), ((0, 1), (1, 1)))
+_DOOR_OFFSETS = (0.3, -0.4, 0.1, 0.35, -0.2, -0.35, 0.25, 0.0, -0.3, 0.4, -0.1, 0.2, 0.5, -0.5, 0.4)
+"""Offsets of doors from the centres of their walls, m."""
 FURNITURE_DENSITY = 0.7
-"""Edge length of furniture triangles relative to those of the building."""
-_WALLS = ((0.86, 0.82, 0.74), (0.70, 0.78, 0.82), (0.84, 0.74, 0.70), (0.76, 0.82, 0.70), (0.88, 0.86, 0.84), (0.80, 0.72, 0.56))
+"""Ratio of the edge length of furniture triangles to that of the building's triangles."""
+_WALL_COLORS = (
+    (0.86, 0.82, 0.74),
+    (0.70, 0.78, 0.82),
+    (0.84, 0.74, 0.70),
+    (0.76, 0.82, 0.70),
+    (0.88, 0.86, 0.84),
+    (0.80, 0.72, 0.56),
+)
 _FLOORS = (
     ("planks", (0.68, 0.50, 0.32)),
     ("tiles", (0.80, 0.79, 0.75)),
@@ -63,21 +69,21 @@ class Doorway:
     axis: int
     """Axis of passage: 0 = x."""
     at: float
-    """Coordinate of the wall's centre along ``axis``."""
+    """Coordinate of the wall's centre along ``axis``, m."""
     middle: float
-    """Coordinate of the door's centre along the wall."""
+    """Coordinate of the door's centre along the wall, m."""
 
     def point(self, through: float) -> tuple[float, float]:
-        """Returns the point ``through`` metres behind the centre of the door, seen from its first room."""
+        """Returns the point ``through`` metres beyond the centre of the door, seen from its first room."""
         forward = 1.0 if sum(self.rooms[1]) > sum(self.rooms[0]) else -1.0
         along = self.at + forward * through
         return (along, self.middle) if self.axis == 0 else (self.middle, along)
 
 
 def _doors() -> tuple[Doorway, ...]:
-    pairs = [*zip(_TOUR, (*_TOUR[1:], _TOUR[0]), strict=True), *_MORE_DOORS]
+    pairs = [*zip(_TOUR, (*_TOUR[1:], _TOUR[0]), strict=True), *_EXTRA_DOORS]
     doors = []
-    for (a, b), shift in zip(pairs, _DOOR_SHIFT, strict=True):
+    for (a, b), shift in zip(pairs, _DOOR_OFFSETS, strict=True):
         axis = 0 if a[0] != b[0] else 1
         lines, others = (COLUMNS, ROWS) if axis == 0 else (ROWS, COLUMNS)
         across = a[1 - axis]
@@ -94,18 +100,19 @@ class Sheet:
 
     face: AtlasFace
     origin: F64
-    """(3,), the corner with the least u and v."""
+    """Corner with minimum u and v, (3,), m."""
     u: F64
-    """(3,), unit vector."""
+    """Unit vector, (3,)."""
     v: F64
-    """(3,), unit vector; ``u x v`` is the normal."""
+    """Unit vector, (3,); ``u x v`` is the normal."""
     breaks_u: tuple[float, ...]
-    """Required vertex positions along u, metres: both ends, and the sides of the hole."""
+    """Required vertex positions along u, m: both ends, and the sides of the hole."""
     breaks_v: tuple[float, ...]
+    """Required vertex positions along v, m."""
     hole: tuple[float, float, float, float] | None = None
-    """(u0, u1, v0, v1), metres."""
+    """Rectangular hole, (u0, u1, v0, v1), m; None = no hole."""
     rough: float = 1.0
-    """Unevenness, 0 = flat."""
+    """Factor of the unevenness; 0 = flat."""
 
     def triangles(self, step: float) -> int:
         """Returns the number of triangles with edges of about ``step`` metres."""
@@ -123,27 +130,27 @@ class Sheet:
         return solid
 
     def build(self, step: float, seed: int, rng: np.random.Generator) -> tuple[F64, F64, I64]:
-        """Returns vertices (V, 3), places on the face (V, 2) in metres and triangles (F, 3)."""
+        """Returns vertices (V, 3), m, coordinates on the face (V, 2), m, and triangles (F, 3)."""
         u, v = _nodes(self.breaks_u, step), _nodes(self.breaks_v, step)
-        place = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-        free = ~(np.isin(place[:, 0], self.breaks_u) | np.isin(place[:, 1], self.breaks_v))
-        place[free] += rng.uniform(-0.25, 0.25, (int(free.sum()), 2)) * step
-        fade = np.clip(self._to_edge(place) / 0.2, 0.0, 1.0)
-        flat = self.origin + place[:, :1] * self.u + place[:, 1:] * self.v
+        face_coords = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+        free = ~(np.isin(face_coords[:, 0], self.breaks_u) | np.isin(face_coords[:, 1], self.breaks_v))
+        face_coords[free] += rng.uniform(-0.25, 0.25, (int(free.sum()), 2)) * step
+        fade = np.clip(self._distance_to_edge(face_coords) / 0.2, 0.0, 1.0)
+        flat = self.origin + face_coords[:, :1] * self.u + face_coords[:, 1:] * self.v
         uneven = 0.009 * wobble(flat, seed, 1.2) + 0.004 * wobble(flat, seed + 1, 0.35) + rng.uniform(-0.001, 0.001, len(flat))
         vertices = flat + (self.rough * fade * uneven)[:, None] * np.cross(self.u, self.v)
         triangles = _grid_triangles(len(u), len(v), rng)[np.repeat(self._solid(u, v).ravel(), 2)]
         used = np.unique(triangles)
-        number = np.zeros(len(vertices), dtype=np.int64)
-        number[used] = np.arange(len(used))
-        return vertices[used], place[used] - (self.breaks_u[0], self.breaks_v[0]), number[triangles]
+        new_index = np.zeros(len(vertices), dtype=np.int64)
+        new_index[used] = np.arange(len(used))
+        return vertices[used], face_coords[used] - (self.breaks_u[0], self.breaks_v[0]), new_index[triangles]
 
-    def _to_edge(self, place: F64) -> F64:
+    def _distance_to_edge(self, face_coords: F64) -> F64:
         low, high = (self.breaks_u[0], self.breaks_v[0]), (self.breaks_u[-1], self.breaks_v[-1])
-        distance: F64 = np.minimum(place - low, np.subtract(high, place)).min(axis=1)
+        distance: F64 = np.minimum(face_coords - low, np.subtract(high, face_coords)).min(axis=1)
         if self.hole is not None:
             u0, u1, v0, v1 = self.hole
-            gap = np.maximum(np.maximum((u0, v0) - place, place - (u1, v1)), 0.0)
+            gap = np.maximum(np.maximum((u0, v0) - face_coords, face_coords - (u1, v1)), 0.0)
             distance = np.minimum(distance, np.linalg.norm(gap, axis=1))
         return distance
 
@@ -156,7 +163,7 @@ class BoxSide:
     box: RoundedBox
     axis: int
     side: float
-    """-1 or 1."""
+    """Sign of the side along ``axis``, -1 or 1."""
 
     def _counts(self, step: float) -> list[int]:
         fewest = 5 if self.box.radius > 0.05 else 1
@@ -168,7 +175,7 @@ class BoxSide:
         return 2 * counts[(self.axis + 1) % 3] * counts[(self.axis + 2) % 3]
 
     def build(self, step: float, seed: int, rng: np.random.Generator) -> tuple[F64, F64, I64]:
-        """Returns vertices (V, 3), places on the face (V, 2) in metres and triangles (F, 3)."""
+        """Returns vertices (V, 3), m, coordinates on the face (V, 2), m, and triangles (F, 3)."""
         a, b = (self.axis + 1) % 3, (self.axis + 2) % 3
         half, counts = np.array(self.box.half), self._counts(step)
         along = [np.linspace(-half[k], half[k], counts[k] + 1) for k in (a, b)]
@@ -179,12 +186,12 @@ class BoxSide:
         normal = p - core
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         local = core + self.box.radius * normal
-        # Vertices on an edge belong to two sides, so their displacement depends on the position alone.
+        # Vertices on an edge belong to two sides, so their displacement depends only on the position.
         height = 0.004 * min(1.0, float(half.min()) / 0.1)
         local = local + (height * wobble(local + self.box.center, seed + 2, 0.4))[:, None] * normal
         triangles = _grid_triangles(len(along[0]), len(along[1]), rng)
-        place = np.stack([ga + half[a], gb + half[b]], axis=1)
-        return self.box.to_world(local), place, triangles if self.side > 0 else triangles[:, ::-1]
+        face_coords = np.stack([ga + half[a], gb + half[b]], axis=1)
+        return self.box.to_world(local), face_coords, triangles if self.side > 0 else triangles[:, ::-1]
 
 
 ScannedSurface = Sheet | BoxSide
@@ -200,7 +207,7 @@ def _nodes(breaks: tuple[float, ...], step: float) -> F64:
 
 
 def _grid_triangles(n_u: int, n_v: int, rng: np.random.Generator) -> I64:
-    """Returns (2 cells, 3): two counter-clockwise triangles per cell, with a random diagonal."""
+    """Returns two counter-clockwise triangles per cell, (2 cells, 3), with random diagonals."""
     corner = (np.arange(n_u - 1)[:, None] * n_v + np.arange(n_v - 1)).ravel()
     a, b, c, d = corner, corner + n_v, corner + n_v + 1, corner + 1
     one = np.stack([a, b, c, a, c, d], axis=1)
@@ -209,7 +216,7 @@ def _grid_triangles(n_u: int, n_v: int, rng: np.random.Generator) -> I64:
 
 
 def wobble(points: ArrayLike, seed: int, length: float) -> F64:
-    """Returns smooth noise, (N,), about -1 to 1, at points (N, 3) in metres, with a wavelength of about ``length`` metres."""
+    """Returns smooth noise, (N,), about -1 to 1, at points (N, 3), m. ``length``: approximate wavelength, m."""
     rng = np.random.default_rng([seed, 77])
     waves = rng.normal(size=(6, 3))
     waves *= (2 * math.pi / length * rng.uniform(0.7, 1.4, 6) / np.linalg.norm(waves, axis=1))[:, None]
@@ -225,9 +232,9 @@ def _building(rng: np.random.Generator) -> Iterator[ScannedSurface]:
         across = ((0.0, size[0]), (0.0, size[1]))
         ex, ey = np.eye(3)[:2]
         yield Sheet(AtlasFace("floor", "floor", size, kind, tint), np.array([*low, 0.0]), ex, ey, *across)
-        above = AtlasFace("ceiling", "ceiling", (size[1], size[0]), "plaster", (0.92, 0.92, 0.9))
-        yield Sheet(above, np.array([*low, HEIGHT]), ey, ex, across[1], across[0])
-        color = _WALLS[int(rng.integers(len(_WALLS)))]
+        ceiling = AtlasFace("ceiling", "ceiling", (size[1], size[0]), "plaster", (0.92, 0.92, 0.9))
+        yield Sheet(ceiling, np.array([*low, HEIGHT]), ey, ex, across[1], across[0])
+        color = _WALL_COLORS[int(rng.integers(len(_WALL_COLORS)))]
         for axis, side in product((0, 1), (-1, 1)):
             yield _wall((column, row), axis, side, color)
     for door in DOORS:
@@ -243,12 +250,12 @@ def _wall(room: tuple[int, int], axis: int, side: int, color: tuple[float, float
     u = np.zeros(3)
     u[1 - axis] = side * (-1.0 if axis == 0 else 1.0)
     first = start if u[1 - axis] > 0 else end
-    origin = np.array([at, first, -_BELOW] if axis == 0 else [first, at, -_BELOW])
-    length, height = end - start, HEIGHT + 2 * _BELOW
+    origin = np.array([at, first, -_WALL_EXTENSION] if axis == 0 else [first, at, -_WALL_EXTENSION])
+    length, height = end - start, HEIGHT + 2 * _WALL_EXTENSION
     neighbour = (room[0] + side, room[1]) if axis == 0 else (room[0], room[1] + side)
     door = next((d for d in DOORS if set(d.rooms) == {room, neighbour}), None)
-    # Every wall has vertices at door height, so that walls join without cracks.
-    top = DOOR_HEIGHT + _BELOW
+    # All walls have vertices at door height, so that they join without cracks.
+    top = DOOR_HEIGHT + _WALL_EXTENSION
     breaks_u: tuple[float, ...] = (0.0, length)
     hole = None
     if door is not None:
@@ -260,12 +267,12 @@ def _wall(room: tuple[int, int], axis: int, side: int, color: tuple[float, float
 
 
 def _door_reveals(door: Doorway) -> Iterator[Sheet]:
-    """Yields the two sides and the top of a doorway."""
+    """Yields both sides and the top of a doorway."""
     white = (0.90, 0.89, 0.86)
     through, along, up = np.eye(3)[door.axis], np.eye(3)[1 - door.axis], np.eye(3)[2]
-    deep, top = (0.0, 2 * HALF_WALL), DOOR_HEIGHT + _BELOW
+    deep, top = (0.0, 2 * HALF_WALL), DOOR_HEIGHT + _WALL_EXTENSION
     for side in (-1.0, 1.0):
-        base = along * (door.middle + side * DOOR_WIDTH / 2) - up * _BELOW
+        base = along * (door.middle + side * DOOR_WIDTH / 2) - up * _WALL_EXTENSION
         # u x v must point into the doorway.
         forward = -side * float(np.linalg.det(np.stack([through, up, along])))
         origin = base + through * (door.at - forward * HALF_WALL)
@@ -292,8 +299,8 @@ def _furniture(seed: int) -> Iterator[BoxSide]:
         for c, r in sorted(_TOUR)
     ]
     gaps = [(d.axis, d.at, d.middle) for d in DOORS]
-    way = _path()
-    for piece in rooms_furniture.furnish(rooms, gaps, way, np.random.default_rng([seed, 5])):
+    path = _path()
+    for piece in rooms_furniture.furnish(rooms, gaps, path, np.random.default_rng([seed, 5])):
         for box in piece.boxes:
             for axis, side in product(range(3), (-1.0, 1.0)):
                 a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -305,28 +312,28 @@ def rooms_parts(triangles: int, seed: int = 0, atlas: int = 4096) -> dict[str, t
     """Returns semantic class and mesh of every object by name: floor, walls, ceiling, and each piece of furniture.
 
     Args:
-        triangles: of all parts together, met within 3 percent.
-        seed: of furniture, unevenness and pictures.
-        atlas: width and height of the one texture that all parts share, pixels.
+        triangles: number of triangles of all parts together, met within 3 percent.
+        seed: seed of furniture, unevenness and pictures.
+        atlas: width and height of the texture shared by all parts, pixels.
     """
     rng = np.random.default_rng([seed, 3])
     surfaces: list[ScannedSurface] = [*_building(rng), *_furniture(seed)]
-    step = _step_for(surfaces, triangles)
+    step = _edge_length_for(surfaces, triangles)
     places = rooms_atlas.pack([s.face.size for s in surfaces], atlas)
     pixels = rooms_atlas.paint([s.face for s in surfaces], places, seed)
     material = Material("rooms", (1.0, 1.0, 1.0, 1.0), TextureSource("rooms atlas", pixels), unlit=True)
-    gathered: dict[str, tuple[str, list[F64], list[F64], list[I64]]] = {}
-    for number, (surface, place) in enumerate(zip(surfaces, places.rects, strict=True)):
-        vertices, at, faces = surface.build(step, seed, np.random.default_rng([seed, 9, number]))
-        _, points, uvs, indices = gathered.setdefault(surface.face.name, (surface.face.semantic_class, [], [], []))
+    by_object: dict[str, tuple[str, list[F64], list[F64], list[I64]]] = {}
+    for index, (surface, place) in enumerate(zip(surfaces, places.rects, strict=True)):
+        vertices, face_coords, faces = surface.build(step, seed, np.random.default_rng([seed, 9, index]))
+        _, points, uvs, indices = by_object.setdefault(surface.face.name, (surface.face.semantic_class, [], [], []))
         indices.append(faces + sum(map(len, points)))
         points.append(vertices)
         # Row 0 of the picture is the top of a wall.
-        u, v = at[:, 0], surface.face.size[1] - at[:, 1]
+        u, v = face_coords[:, 0], surface.face.size[1] - face_coords[:, 1]
         uvs.append(np.stack([place[0] + u * places.px_per_m, place[1] + v * places.px_per_m], axis=1) / atlas)
     return {
         name: (kind, _part(np.concatenate(points), np.concatenate(uvs), np.concatenate(indices), material))
-        for name, (kind, points, uvs, indices) in gathered.items()
+        for name, (kind, points, uvs, indices) in by_object.items()
     }
 
 
@@ -335,8 +342,8 @@ def _part(vertices: F64, uvs: F64, triangles: I64, material: Material) -> MeshPa
     return MeshPart(vertices.astype(np.float32), normals, uvs.astype(np.float32), triangles.astype(np.uint32), material)
 
 
-def _step_for(surfaces: list[ScannedSurface], triangles: int) -> float:
-    """Returns the edge length that gives about this number of triangles."""
+def _edge_length_for(surfaces: list[ScannedSurface], triangles: int) -> float:
+    """Returns the edge length, m, that gives about this number of triangles."""
     low, high = 0.002, 3.0
     for _ in range(30):
         step = math.sqrt(low * high)
@@ -348,22 +355,22 @@ def _step_for(surfaces: list[ScannedSurface], triangles: int) -> float:
 
 
 def rooms_mesh(triangles: int, seed: int = 0, atlas: int = 4096) -> Mesh:
-    """Returns all of the rooms as one part with one unlit material; see ``rooms_parts``."""
+    """Returns all rooms as one part with one unlit material; see ``rooms_parts``."""
     return merged(rooms_parts(triangles, seed, atlas))
 
 
 def merged(parts: dict[str, tuple[str, MeshPart]]) -> Mesh:
-    """Returns the parts, which share a material, as a mesh of one part."""
-    every = [part for _, part in parts.values()]
-    starts = np.cumsum([0, *(len(p.vertices) for p in every)])
-    triangles = np.concatenate([p.triangles + np.uint32(start) for p, start in zip(every, starts, strict=False)])
-    uvs = np.concatenate([p.uvs for p in every if p.uvs is not None])
-    vertices, normals = np.concatenate([p.vertices for p in every]), np.concatenate([p.normals for p in every])
-    return Mesh((MeshPart(vertices, normals, uvs, triangles, replace(every[0].material)),))
+    """Merges parts with the same material into a mesh of one part."""
+    mesh_parts = [part for _, part in parts.values()]
+    starts = np.cumsum([0, *(len(p.vertices) for p in mesh_parts)])
+    triangles = np.concatenate([p.triangles + np.uint32(start) for p, start in zip(mesh_parts, starts, strict=False)])
+    uvs = np.concatenate([p.uvs for p in mesh_parts if p.uvs is not None])
+    vertices, normals = np.concatenate([p.vertices for p in mesh_parts]), np.concatenate([p.normals for p in mesh_parts])
+    return Mesh((MeshPart(vertices, normals, uvs, triangles, replace(mesh_parts[0].material)),))
 
 
 def _path() -> F64:
-    """Returns the closed camera path through all rooms, (M, 2)."""
+    """Returns the closed camera path through all rooms, (M, 2), m."""
     corners: list[tuple[float, float]] = []
     doors = DOORS[: len(_TOUR)]
     for number, (column, row) in enumerate(_TOUR):
@@ -381,21 +388,21 @@ def _path() -> F64:
 def rooms_camera_path(n: int) -> list[Mat4]:
     """Returns ``n`` poses T_world_camera (optical frame) on a closed drive through all rooms, 1.2 m high, evenly spaced.
 
-    The camera looks where it goes, swaying to both sides and nodding a little.
+    The camera looks ahead along the path, with an oscillating yaw and pitch.
     """
     points = _path()
     points = np.concatenate([points, points[:1]])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.arange(n) / n * arc[-1]
 
-    def position(where: F64) -> F64:
-        inside = np.mod(where, arc[-1])
+    def position(arc_length: F64) -> F64:
+        inside = np.mod(arc_length, arc[-1])
         return np.stack([np.interp(inside, arc, points[:, k]) for k in range(2)], axis=1)
 
     ahead = position(at + 0.3) - position(at - 0.3)
-    turn = 2 * math.pi * np.arange(n) / n
-    yaw = np.arctan2(ahead[:, 1], ahead[:, 0]) + math.radians(40.0) * np.sin(17 * turn)
-    pitch = math.radians(8.0) * np.sin(11 * turn + 0.5)
+    phase = 2 * math.pi * np.arange(n) / n
+    yaw = np.arctan2(ahead[:, 1], ahead[:, 0]) + math.radians(40.0) * np.sin(17 * phase)
+    pitch = math.radians(8.0) * np.sin(11 * phase + 0.5)
     poses = []
     for (x, y), angle, nod in zip(position(at), yaw, pitch, strict=True):
         cy, sy, cp, sp = math.cos(angle), math.sin(angle), math.cos(nod), math.sin(nod)
@@ -408,7 +415,7 @@ def rooms_camera_path(n: int) -> list[Mat4]:
 
 
 def make_rooms(folder: Path, seed: int = 0, triangles: int = 100_000, atlas: int = 4096) -> None:
-    """Writes scene.yaml with the objects one by one, rooms.glb with all of them, and their atlas."""
+    """Writes scene.yaml with separate objects, rooms.glb with all of them, and their atlas."""
     (folder / "parts").mkdir(parents=True, exist_ok=True)
     parts = rooms_parts(triangles, seed, atlas)
     texture = next(iter(parts.values()))[1].material.texture

@@ -1,4 +1,4 @@
-"""Furniture of the scanned rooms: rounded boxes along the walls, clear of doors and of the camera path."""
+"""Furnishes the scan-like rooms: rounded boxes along the walls, clear of doors and of the camera path."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 Rgb = tuple[float, float, float]
 Rect = tuple[float, float, float, float]
-_CLEAR_OF_WAY = 0.4
-"""Least distance between camera path and furniture, metres."""
+_PATH_CLEARANCE = 0.4
+"""Minimum distance between the camera path and furniture, m."""
 _CORNER = 1.0
-"""Distance of furniture on walls along y from corners, which furniture on walls along x may occupy, metres."""
+"""Distance of furniture at walls along y from corners, which furniture at walls along x may occupy, m."""
 
 
 @dataclass(frozen=True)
 class RoundedBox:
-    """A box with rounded edges; a ball if the radius is half its size."""
+    """A box with rounded edges, m; a ball if the radius is half its size."""
 
     center: tuple[float, float, float]
     half: tuple[float, float, float]
@@ -28,12 +28,12 @@ class RoundedBox:
     pattern: str
     color: Rgb
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Origin of its piece, world frame."""
+    """Origin of the piece of furniture, world frame."""
     yaw: float = 0.0
-    """Yaw of its piece, radians."""
+    """Yaw of the piece of furniture, radians."""
 
     def to_world(self, local: F64) -> F64:
-        """Returns points (N, 3), relative to the centre of the box, in the world frame."""
+        """Transforms points, (N, 3), relative to the centre of the box, to the world frame."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         points: F64 = (local + self.center) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + self.origin
         return points
@@ -41,12 +41,12 @@ class RoundedBox:
 
 @dataclass(frozen=True)
 class RoomsPiece:
-    """A piece of furniture. Its frame: on z = 0, back at y = 0, from x = 0 to its width."""
+    """A piece of furniture. In its frame, it stands on z = 0, its back is at y = 0, and it extends from x = 0 to its width."""
 
     name: str
     semantic_class: str
     size: tuple[float, float]
-    """Width and depth, metres."""
+    """Width and depth, m."""
     boxes: tuple[RoundedBox, ...]
 
 
@@ -59,11 +59,11 @@ def _ball(x: float, y: float, z: float, r: float, pattern: str, color: Rgb) -> R
     return _box(x - r, x + r, y - r, y + r, z - r, z + r, r, pattern, color)
 
 
-def _legs(w: float, d: float, h: float, color: Rgb, thick: float = 0.05) -> list[RoundedBox]:
+def _legs(w: float, d: float, h: float, color: Rgb, thickness: float = 0.05) -> list[RoundedBox]:
     return [
-        _box(x, x + thick, y, y + thick, 0.0, h, 0.01, "wood", color)
-        for x in (0.03, w - 0.03 - thick)
-        for y in (0.05, d - 0.03 - thick)
+        _box(x, x + thickness, y, y + thickness, 0.0, h, 0.01, "wood", color)
+        for x in (0.03, w - 0.03 - thickness)
+        for y in (0.05, d - 0.03 - thickness)
     ]
 
 
@@ -172,20 +172,20 @@ _MAKERS: tuple[Callable[[np.random.Generator], RoomsPiece], ...] = (
 
 
 def furnish(
-    rooms: Sequence[Rect], doors: Sequence[tuple[int, float, float]], way: F64, rng: np.random.Generator
+    rooms: Sequence[Rect], doors: Sequence[tuple[int, float, float]], path: F64, rng: np.random.Generator
 ) -> Iterator[RoomsPiece]:
     """Yields placed pieces with unique names.
 
     Args:
-        rooms: (x0, y0, x1, y1), the insides of the walls, metres.
-        doors: axis of passage, coordinate along it, and centre along the wall.
-        way: (M, 2), camera path.
-        rng: decides kinds and positions.
+        rooms: inner faces of the walls of each room, (x0, y0, x1, y1), metres.
+        doors: axis of passage, coordinate along it, and centre along the wall, of each door.
+        path: camera path, (M, 2), metres.
+        rng: samples kinds and positions.
     """
     count: dict[str, int] = {}
     for room in rooms:
-        for piece in (*_along_walls(room, doors, rng), *_in_the_room(room, rng)):
-            if not _is_clear(piece, way):
+        for piece in (*_along_walls(room, doors, rng), *_free_standing(room, rng)):
+            if not _is_clear(piece, path):
                 continue
             count[piece.semantic_class] = count.get(piece.semantic_class, 0) + 1
             yield replace(piece, name=f"{piece.semantic_class}_{count[piece.semantic_class]}")
@@ -193,7 +193,7 @@ def furnish(
 
 def _along_walls(room: Rect, doors: Sequence[tuple[int, float, float]], rng: np.random.Generator) -> Iterator[RoomsPiece]:
     x0, y0, x1, y1 = room
-    # Wall: axis of its normal, coordinate, from, to, origin of a piece at ``s`` along it, yaw (y of the piece points into the room).
+    # Wall: axis of its normal, coordinate, start, end, yaw of a piece (its y points into the room), origin of a piece at ``s`` along the wall.
     walls = (
         (1, y0, x0, x1, 0.0, lambda s, w: (s, y0, 0.0)),
         (1, y1, x0, x1, math.pi, lambda s, w: (s + w, y1, 0.0)),
@@ -201,8 +201,10 @@ def _along_walls(room: Rect, doors: Sequence[tuple[int, float, float]], rng: np.
         (0, x1, y0 + _CORNER, y1 - _CORNER, math.pi / 2, lambda s, w: (x1, s, 0.0)),
     )
     for axis, at, start, end, yaw, place in walls:
-        gaps = sorted(m for a, where, m in doors if a == axis and abs(where - at) < 0.1 and start - 1.0 < m < end + 1.0)
-        edges = [start + 0.08, *(e for m in gaps for e in (m - 0.65, m + 0.65)), end - 0.08]
+        door_centers = sorted(
+            m for a, door_at, m in doors if a == axis and abs(door_at - at) < 0.1 and start - 1.0 < m < end + 1.0
+        )
+        edges = [start + 0.08, *(e for m in door_centers for e in (m - 0.65, m + 0.65)), end - 0.08]
         for low, high in zip(edges[::2], edges[1::2], strict=True):
             s = low + float(rng.uniform(0.0, 0.3))
             while high - s > 0.4:
@@ -213,7 +215,7 @@ def _along_walls(room: Rect, doors: Sequence[tuple[int, float, float]], rng: np.
                 s += float(rng.uniform(0.1, 0.35))
 
 
-def _in_the_room(room: Rect, rng: np.random.Generator) -> Iterator[RoomsPiece]:
+def _free_standing(room: Rect, rng: np.random.Generator) -> Iterator[RoomsPiece]:
     x, y = (room[0] + room[2]) / 2, (room[1] + room[3]) / 2
     lamp = (
         _box(-0.01, 0.01, -0.01, 0.01, 2.25, 2.62, 0.004, "plaster", (0.2, 0.2, 0.2)),
@@ -230,12 +232,12 @@ def _placed(piece: RoomsPiece, origin: tuple[float, float, float], yaw: float) -
     return replace(piece, boxes=tuple(replace(b, origin=origin, yaw=yaw) for b in piece.boxes))
 
 
-def _is_clear(piece: RoomsPiece, way: F64) -> bool:
+def _is_clear(piece: RoomsPiece, path: F64) -> bool:
     """Returns whether a piece is clear of the camera path; ceiling lamps always are."""
     if piece.semantic_class == "ceiling_lamp":
         return True
     box = piece.boxes[0]
     c, s = math.cos(-box.yaw), math.sin(-box.yaw)
-    local = (way - box.origin[:2]) @ np.array([[c, s], [-s, c]])
+    local = (path - box.origin[:2]) @ np.array([[c, s], [-s, c]])
     gap = np.maximum(np.maximum(-local, local - piece.size), 0.0)
-    return bool(np.linalg.norm(gap, axis=1).min() > _CLEAR_OF_WAY)
+    return bool(np.linalg.norm(gap, axis=1).min() > _PATH_CLEARANCE)

@@ -1,4 +1,4 @@
-"""Procedural textures: (H, W, 3) uint8 sRGB, RGB order, row 0 at the top. Each takes its own random generator."""
+"""Generates procedural textures: (H, W, 3) uint8 sRGB, RGB order, row 0 at the top. Each function takes a random generator."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _image(values: Floats) -> Image:
 
 
 def noise(rng: np.random.Generator, height: int, width: int, cells: tuple[int, int], octaves: int = 4) -> Floats:
-    """Returns smooth noise, (height, width), about -1 to 1; ``cells`` (down, across) are those of the coarsest octave."""
+    """Returns smooth noise, (height, width), about -1 to 1. ``cells``: cells of the coarsest octave, (down, across)."""
     total = np.zeros((height, width))
     for octave in range(octaves):
         shape = (min(height, cells[0] << octave), min(width, cells[1] << octave))
@@ -26,13 +26,13 @@ def noise(rng: np.random.Generator, height: int, width: int, cells: tuple[int, i
 
 
 def plain(rng: np.random.Generator, color: Rgb, size: int = 256, roughness: float = 0.03) -> Image:
-    """Paint or plaster: one colour with a slight, uneven grain."""
+    """Returns paint or plaster: one colour with a slight, uneven grain."""
     grain = noise(rng, size, size, (4, 4), 6) * roughness
     return _image(np.array(color) * (1.0 + grain[..., None]))
 
 
 def wall(rng: np.random.Generator, color: Rgb, size: int = 256) -> Image:
-    """Painted plaster from ceiling (top row) to floor, darker towards both, as under ambient light."""
+    """Returns painted plaster from ceiling (top row) to floor, darker towards both, as under ambient light."""
     v = np.linspace(0.0, 1.0, size)[:, None]
     shade = 1.0 - 0.22 * np.exp(-v / 0.06) - 0.26 * np.exp(-(1.0 - v) / 0.07) - 0.05 * v
     grain = noise(rng, size, size, (6, 6), 6) * 0.025
@@ -40,7 +40,7 @@ def wall(rng: np.random.Generator, color: Rgb, size: int = 256) -> Image:
 
 
 def wood(rng: np.random.Generator, color: Rgb, height: int = 256, width: int = 256) -> Image:
-    """Wood with its grain running down the image."""
+    """Returns wood with a vertical grain."""
     wavy = noise(rng, height, width, (3, 5), 3) * 0.6
     across = np.linspace(0.0, 9.0, width)[None, :] + wavy
     rings = 0.5 + 0.5 * np.sin(2 * np.pi * across)
@@ -51,7 +51,7 @@ def wood(rng: np.random.Generator, color: Rgb, height: int = 256, width: int = 2
 
 
 def fabric(rng: np.random.Generator, color: Rgb, size: int = 256) -> Image:
-    """A woven cloth."""
+    """Returns a woven cloth."""
     y, x = np.mgrid[0:size, 0:size]
     weave = 0.06 * np.sin(x * np.pi / 2.0) * np.sin(y * np.pi / 2.0) + 0.05 * ((x // 4 + y // 4) % 2 - 0.5)
     value = 1.0 + weave + 0.08 * noise(rng, size, size, (5, 5), 5)
@@ -59,7 +59,7 @@ def fabric(rng: np.random.Generator, color: Rgb, size: int = 256) -> Image:
 
 
 def planks(rng: np.random.Generator, metres: tuple[float, float], px_per_m: int, color: Rgb) -> Floats:
-    """A wooden floor, (H, W, 3) linear 0 to 1 (not yet shaded); planks 0.14 m wide run along x (across the image)."""
+    """Returns a wooden floor, (H, W, 3), 0 to 1, without shading; planks 0.14 m wide run along x (across the image)."""
     height, width = round(metres[1] * px_per_m), round(metres[0] * px_per_m)
     out = np.empty((height, width, 3))
     plank_px = 0.14 * px_per_m
@@ -80,13 +80,13 @@ def planks(rng: np.random.Generator, metres: tuple[float, float], px_per_m: int,
     return out
 
 
-def tiles(rng: np.random.Generator, metres: tuple[float, float], px_per_m: int, color: Rgb, side: float = 0.3) -> Floats:
-    """A tiled floor or wall, (H, W, 3), 0 to 1 (not yet shaded); square tiles of ``side`` metres with light joints."""
+def tiles(rng: np.random.Generator, metres: tuple[float, float], px_per_m: int, color: Rgb, tile_size: float = 0.3) -> Floats:
+    """Returns a tiled floor or wall, (H, W, 3), 0 to 1, without shading; square tiles with light joints. ``tile_size``: m."""
     height, width = round(metres[1] * px_per_m), round(metres[0] * px_per_m)
     y, x = (np.mgrid[0:height, 0:width] + 0.5) / px_per_m
-    shades = rng.uniform(0.93, 1.04, (int(metres[1] / side) + 2, int(metres[0] / side) + 2))
-    value = shades[(y / side).astype(int), (x / side).astype(int)] + 0.03 * noise(rng, height, width, (8, 8), 4)
-    joint = (np.minimum(y % side, x % side) < 1.2 / px_per_m)[..., None]
+    shades = rng.uniform(0.93, 1.04, (int(metres[1] / tile_size) + 2, int(metres[0] / tile_size) + 2))
+    value = shades[(y / tile_size).astype(int), (x / tile_size).astype(int)] + 0.03 * noise(rng, height, width, (8, 8), 4)
+    joint = (np.minimum(y % tile_size, x % tile_size) < 1.2 / px_per_m)[..., None]
     return np.where(joint, 0.72, np.clip(np.array(color) * value[..., None], 0.0, 1.0))
 
 
@@ -94,9 +94,9 @@ def shaded_floor(base: Floats, px_per_m: int, footprints: list[tuple[float, floa
     """Darkens a floor along its walls and under furniture, as under ambient light.
 
     Args:
-        base: (H, W, 3), 0 to 1; row 0 is the far (greatest y) wall.
+        base: colours, (H, W, 3), 0 to 1; row 0 is at the wall with the largest y.
         px_per_m: pixels per metre.
-        footprints: (x0, y0, x1, y1) of furniture, metres from the lower left corner of the room.
+        footprints: footprints of furniture, (x0, y0, x1, y1), metres from the lower left corner of the room.
     """
     height, width = base.shape[:2]
     y, x = (np.mgrid[0:height, 0:width] + 0.5) / px_per_m
@@ -111,14 +111,14 @@ def shaded_floor(base: Floats, px_per_m: int, footprints: list[tuple[float, floa
 
 
 def ceiling(size: int = 128) -> Image:
-    """A white ceiling, darker towards its edges."""
+    """Returns a white ceiling, darker towards its edges."""
     v = np.linspace(0.0, 1.0, size)
     edge = np.minimum(np.minimum(v, 1 - v)[:, None], np.minimum(v, 1 - v)[None, :])
     return _image(np.repeat((0.93 - 0.2 * np.exp(-edge / 0.05))[..., None], 3, axis=2))
 
 
 def view_outside(rng: np.random.Generator, height: int = 256, width: int = 384) -> Image:
-    """The view through a window: sky, distant trees, a lawn."""
+    """Returns the view through a window: sky, distant trees, a lawn."""
     v = np.linspace(0.0, 1.0, height)[:, None, None]
     sky = (1 - v) * np.array([0.55, 0.74, 0.95]) + v * np.array([0.93, 0.96, 0.98])
     out = np.repeat(sky, width, axis=1)
@@ -135,7 +135,7 @@ def view_outside(rng: np.random.Generator, height: int = 256, width: int = 384) 
 
 
 def painting(rng: np.random.Generator, height: int = 192, width: int = 256) -> Image:
-    """An abstract picture with a dark signature at its lower right, which makes mirroring visible."""
+    """Returns an abstract picture with a signature at the lower right, which makes mirroring visible."""
     palette = rng.uniform(0.15, 0.95, (6, 3))
     canvas = np.tile(palette[0], (height, width, 1)).copy()
     for color in palette[1:]:
@@ -151,7 +151,7 @@ def painting(rng: np.random.Generator, height: int = 192, width: int = 256) -> I
 
 
 def book_spines(rng: np.random.Generator, height: int = 96, width: int = 256) -> Image:
-    """A row of book spines."""
+    """Returns a row of book spines."""
     out = np.full((height, width, 3), 0.1)
     x = 0
     while x < width - 4:
