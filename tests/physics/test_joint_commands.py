@@ -243,7 +243,7 @@ def test_reset_and_a_new_time_end_what_joints_of_a_body_were_told(make_scene: Ma
 def test_command_for_joints_of_nobody_is_refused(make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene()) as world:
         world.add(door())
-        with pytest.raises(CommandError, match="no joint 'lock' that obeys commands; known: hinge"):
+        with pytest.raises(CommandError, match="no joint 'lock' that accepts commands; known: hinge"):
             world.command_joints("door", JointPositions((0.1,), ("lock",)))
         world.remove("door")
         with pytest.raises(CommandError, match="no robot or body 'door' in this world; known: none"):

@@ -224,7 +224,7 @@ def legs(count: int, *, low: float = -0.5) -> str:
 def test_a_robot_with_legs_is_refused_and_told_how_it_is_held(tmp_path: Path, needs_drive: bool) -> None:
     path = written(tmp_path, legs(4))
     with pytest.raises(
-        RobotError, match=r"bot\.urdf: stands on 4 legs \(hip0_joint, .*\): robots that walk are not simulated"
+        RobotError, match=r"bot\.urdf: stands on 4 legs \(hip0_joint, .*\): walking robots are not simulated"
     ) as caught:
         derive_file(path, needs_drive=needs_drive)
     assert str(caught.value).endswith("fixed_base: true and base_height: 0.6")

@@ -219,9 +219,9 @@ def test_first_point_at_time_zero_gives_the_acceleration_to_start_with(bench: Be
     [
         (JointPositions((2.5,), ("arm",)), "joint 'arm': position is 2.5, must be -1 to 2"),
         (JointVelocities((-0.6,), ("arm",)), "joint 'arm': velocity is -0.6, must be -0.5 to 0.5"),
-        (JointPositions((0.1,), ("elbow",)), "no joint 'elbow' that obeys commands; known: arm, lift, spin"),
+        (JointPositions((0.1,), ("elbow",)), "no joint 'elbow' that accepts commands; known: arm, lift, spin"),
         (JointPositions((0.1,), ("wheel",)), "'wheel' belongs to the drive; send a velocity"),
-        (JointPositions((0.1, 0.2)), "has 2 positions, the robot has 3 joints that obey: arm, lift, spin"),
+        (JointPositions((0.1, 0.2)), "has 2 positions, the robot has 3 joints that accept commands: arm, lift, spin"),
         (
             trajectory(TrajectoryPoint(9 * S, (0.1,)), TrajectoryPoint(19 * S, (2.1,))),
             "position of point 1 is 2.1, must be -1 to 2",

@@ -50,7 +50,7 @@ def test_reasons_name_the_joint_and_the_number() -> None:
 
 
 def test_strange_joints_and_tolerances_are_refused() -> None:
-    with pytest.raises(CommandError, match="joint 'b' is none of this controller's: a, c"):
+    with pytest.raises(CommandError, match="joint 'b' does not belong to this controller: a, c"):
         TrajectoryGoal(("a", "b"), (1.0, 2.0), 3 * S).check(("a", "c"))
     with pytest.raises(CommandError, match="tolerance is given for joint 'c', which the trajectory does not move: a"):
         TrajectoryGoal(("a",), (1.0,), 3 * S, path={"c": Tolerance(0.1)}).check(("a", "c"))

@@ -117,7 +117,7 @@ def test_steering_angle_is_in_degrees(load: Load) -> None:
         ("type: omni, wheels: []", "must be a list of {joint: .., roller_deg: ..}"),
         ("type: omni, wheels: [{joint: fl, roller: 45}]", "wheels[0]: key 'roller' is unknown; did you mean 'roller_deg'"),
         ("type: omni, wheels: [{joint: pin_left}]", "with a level axis"),
-        ("type: omni, wheels: [{joint: fl}, {joint: fr}, {joint: rl}]", "every direction"),
+        ("type: omni, wheels: [{joint: fl}, {joint: fr}, {joint: rl}]", "all directions"),
         ("type: ackermann, left_joint: rl, right_joint: rr", "left_steering_joint is missing"),
         (CAR.replace("pin_left", "fl"), "cannot steer"),
         (CAR.replace("rl", "nothing"), "no joint 'nothing'"),

@@ -87,7 +87,7 @@ def test_what_a_robot_does_not_have_is_refused_with_what_it_has(load: Load) -> N
         (ARM.replace("roll", "finger"), "tip_link 'tool' is not moved by joint 'finger'; these do: lift, shoulder, roll"),
         (
             ARM.replace("roll", "caster"),
-            "joint 'caster' is continuous and has no motor; joints that obey commands: lift, shoulder",
+            "joint 'caster' is continuous and has no motor; joints that accept commands: lift, shoulder",
         ),
         (ARM.replace("roll", "wrist"), "joint 'wrist' is fixed"),
         (ARM.replace("tip_link: tool", "tip_link: hand"), "no link 'hand'; known: base"),

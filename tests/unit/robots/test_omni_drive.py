@@ -98,7 +98,7 @@ def test_odometry_knows_sideways() -> None:
 
 def test_wheels_without_rollers_across_cannot_go_sideways() -> None:
     # Omni wheels that all roll along x.
-    with pytest.raises(ConfigError, match="every direction"):
+    with pytest.raises(ConfigError, match="all directions"):
         spec([OmniWheel(f"w{i}", (0.1 * i, 0.2 * (-1) ** i), 0.0) for i in range(4)])
 
 

@@ -149,7 +149,7 @@ def test_cancel_stops_the_joints(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("asked", "reason"),
     [
-        (request("nose", 0.3), "joint 'nose' is none of this controller's"),
+        (request("nose", 0.3), "joint 'nose' does not belong to this controller"),
         (request("turn", float("nan")), "must be finite"),
         (SimpleNamespace(trajectory=JointTrajectory(), path_tolerance=[], goal_tolerance=[]), "joint trajectory has no points"),
         (

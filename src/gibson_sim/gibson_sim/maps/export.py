@@ -23,7 +23,7 @@ FLOORS = "floors.txt"
 GIBSON_RESOLUTION = 0.01
 """Size of a pixel of ``floor_trav_N.png``, metres."""
 _MAX_PIXELS = 12_000
-"""Maximum width and height of ``floor_trav_N.png``."""
+"""Maximum width and height of ``floor_trav_N.png``, pixels."""
 _COLOURS = {"unknown": (236, 239, 241), "occupied": (38, 50, 56), "free": (200, 230, 201), "near": (255, 224, 130)}
 
 

@@ -19,9 +19,9 @@ from gibson_sim.scenes.spec import DrawnScene, SceneSpec
 from gibson_sim.scenes.views import FloorExtent
 
 _WALLS = (0.5, 2.1)
-"""Heights above the floor, metres, between which things bound it; lawns and pavements outside lie below."""
+"""Height range above the floor, metres, of the objects that bound it; lawns and pavements outside are lower."""
 _ALL = (-0.1, _WALLS[1])
-"""The same for floors without walls."""
+"""Height range for floors without walls, metres."""
 
 
 def extent_of_scene(scene: SceneSpec) -> FloorExtent:

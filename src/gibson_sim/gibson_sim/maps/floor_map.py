@@ -30,45 +30,45 @@ T = TypeVar("T", bound=np.generic)
 logger = logging.getLogger(__name__)
 
 FLOOR_CLEARANCE = 0.03
-"""Height above the floor below which robots drive over things, metres: thresholds, carpets, the bumps of a scan."""
+"""Height above the floor below which objects are not obstacles, metres: thresholds, carpets, the bumps of a scan."""
 FLOOR_TOLERANCE = 0.10
-"""Maximum distance of a level surface from the floor's height at which it is floor, metres."""
+"""Maximum height difference between a level surface and the floor of which it is a part, metres."""
 _LEVEL = math.cos(math.radians(20.0))
-"""Minimum cosine between the normal of a floor and the vertical."""
+"""Minimum cosine of the angle between the normal of a floor and the vertical."""
 MIN_GROUND_SHARE = 0.2
-"""Share of the cells with floor below which the ground plane is the floor everywhere."""
+"""Minimum share of cells with floor; below it the ground plane is the floor everywhere."""
 
 _MAX_CELLS = 4_000_000
-"""100 x 100 m at 5 cm: named poses of 16 million took four seconds and a gigabyte."""
+"""Maximum number of cells, 100 x 100 m at 5 cm: named poses of 16 million took four seconds and a gigabyte."""
 _MAX_SIDE = 20_000
-"""Cells of a row or column: things in a line, kilometres apart, would take gigabytes."""
+"""Maximum number of cells in a row or column: objects in a line, kilometres apart, would take gigabytes."""
 _COARSE = 0.3
-"""Cell size, metres, above which no robot finds a path: a quarter of the cells then serve as well in a quarter of the time."""
+"""Cell size above which robots find no paths, metres: a quarter of the cells is then sufficient, in a quarter of the time."""
 _EXACT_BELOW = 2000.0
-"""Distance, half cells, below which single precision holds all squares of distances exactly."""
+"""Distance below which single precision represents all squares of distances exactly, half cells."""
 
 _CEILING = (1.8, 6.0)
-"""Heights above the floor between which a level surface is a ceiling, metres."""
+"""Height range above the floor in which a level surface is a ceiling, metres."""
 _CEILING_WIDTH = 0.6
 """Minimum width of a ceiling, metres: lintels, tops of walls and lamps are narrower."""
 _CEILING_LEVEL = math.cos(math.radians(50.0))
-"""Minimum cosine between the normal of a ceiling and the vertical."""
+"""Minimum cosine of the angle between the normal of a ceiling and the vertical."""
 
 _OPEN_SHARE = 0.2
-"""Share of its rim along which a region must end in nothing to be outdoors, as lawns and terraces do."""
+"""Minimum share of the border of a region that is not enclosed, for it to be outdoors, such as lawns and terraces."""
 _ROOM_AREA = 1.0
 """Minimum area of a room, square metres."""
 _YARD_WEIGHT = 0.02
-"""Weight of area without a ceiling where the scene has ceilings."""
+"""Weight of area without a ceiling in scenes with ceilings."""
 
 _FLAT = 0.9
-"""Minimum cosine between the vertical and the normal of an underside that stands on the floor."""
+"""Minimum cosine between the vertical and the normal of an underside that rests on the floor."""
 _STEEP = 0.05
-"""Minimum cosine between the vertical and the normal of a surface that covers or bears something."""
+"""Minimum cosine between the vertical and the normal of a surface that covers or supports something."""
 _MAX_COVERED = 0.9
-"""Share of the floor that things can stand on; if more faces down, the faces themselves are wrong."""
+"""Maximum share of the floor that objects cover; if more faces point down, the mesh is wrong."""
 _TIE = 0.002
-"""Maximum distance of an underside below a floor that it stands on, metres."""
+"""Maximum distance of an underside below the floor that it rests on, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,15 +80,15 @@ class FloorMap:
     origin: tuple[float, float]
     """World x, y of the lower left corner of cell [0, 0], metres."""
     occupied: Bools
-    """(H, W): something is here between the floor and the robot's height."""
+    """Mask of cells with an obstacle between the floor and the robot's height, (H, W)."""
     floor: Bools
-    """(H, W): there is floor to stand on. A cell that is neither occupied nor floor is unknown."""
+    """Mask of cells with floor, (H, W). A cell that is neither occupied nor floor is unknown."""
     covered: Bools | None = None
-    """(H, W): a ceiling is above; None = not known."""
+    """Mask of cells below a ceiling, (H, W); None = unknown."""
     floor_z: float = 0.0
     """Height of the floor, metres."""
     distance_to_obstacle: F64 = field(init=False)
-    """(H, W): metres from the centre of a cell to the nearest point of a cell that is not free; 0 in such cells."""
+    """Distance from the centre of a cell to the nearest point of a cell that is not free, (H, W), metres; 0 in such cells."""
 
     def __post_init__(self) -> None:
         if self.occupied.shape != self.floor.shape or self.occupied.ndim != 2 or not self.occupied.size:

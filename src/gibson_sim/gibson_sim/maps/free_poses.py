@@ -21,10 +21,10 @@ from gibson_sim.types import Pose
 from gibson_sim.writing import write_file
 
 FREE_POSES = "free_poses.csv"
-"""File in a scene's folder."""
+"""Name of the file in a scene's folder."""
 COLUMNS = ("floor", "x", "y", "z", "yaw", "room")
 _MAX_BYTES = 16_000_000
-"""Maximum size of a file that is read."""
+"""Maximum size of a file that is read, bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,17 +32,17 @@ class FreePose:
     """A pose on a floor, in the world frame, at which a robot touches nothing but the floor."""
 
     floor: int
-    """Number of its floor, 0 = the lowest."""
+    """Index of its floor, 0 = the lowest."""
     x: float
-    """Metres."""
+    """Position, world metres."""
     y: float
-    """Metres."""
+    """Position, world metres."""
     z: float
     """Height of the surface below the robot, metres."""
     yaw: float
-    """Radians."""
+    """Heading, radians."""
     room: str = ""
-    """Name of its room; empty = the scene names none there."""
+    """Name of its room; empty = no room there."""
 
     @property
     def pose(self) -> Pose:

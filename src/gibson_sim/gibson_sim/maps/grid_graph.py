@@ -15,7 +15,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 _LINE_SAMPLES = 8
-"""Points on a step that are looked up, for each cell of ``reach``."""
+"""Number of sample points on a step, per cell of ``reach``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,11 +23,11 @@ class ShortestPaths:
     """The shortest paths from S source nodes to all N nodes of a graph."""
 
     sources: I64
-    """(S,) nodes."""
+    """Source nodes, (S,)."""
     lengths: F64
-    """(S, N), metres times price; +inf = not connected."""
+    """Path lengths, (S, N), metres times price; +inf = not connected."""
     predecessors: NDArray[np.int32]
-    """(S, N): the node before each on the path from the source; negative at the source, and where there is no path."""
+    """Predecessor of each node on the path from the source, (S, N); negative at the source, and if there is no path."""
 
     def nodes(self, source: int, end: int) -> I64:
         """Returns the nodes (K,) of a path, both ends included.
@@ -58,9 +58,9 @@ class GridGraph:
         self, passable: Bools, resolution: float, *, reach: int = 1, clear_lines: bool = False, price: F64 | None = None
     ) -> None:
         self.cells: I64 = np.argwhere(passable)
-        """(N, 2): row and column of each node."""
+        """Row and column of each node, (N, 2)."""
         self.numbers: I64 = np.full(passable.shape, -1, dtype=np.int64)
-        """(H, W): node of each cell, -1 = not passable."""
+        """Node of each cell, (H, W), -1 = not passable."""
         self.numbers[passable] = np.arange(len(self.cells))
         padded = np.pad(passable, reach)
         rows, columns, costs = [], [], []

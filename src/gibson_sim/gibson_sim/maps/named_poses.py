@@ -23,19 +23,19 @@ from gibson_sim.types import Pose, Vec3
 logger = logging.getLogger(__name__)
 
 FREE_PLACES = 8
-"""Number of free places on a floor."""
+"""Number of free places per floor."""
 DEFAULT_RADIUS, DEFAULT_HEIGHT = 0.3, 0.5
 """Size of the robot that free places have room for, metres, if the scene has no robot."""
 _SPARE = 0.2
-"""Clearance beside the robot, metres, on floors that have places with that much."""
+"""Additional clearance of free places beside the robot, metres, if the floor has enough room."""
 _WIDEST_DOOR = 1.6
 """Maximum width of a door between two named rooms, metres; a wider passage is an opening, as between a living room and its kitchen corner."""
 _THICKEST_WALL = 0.4
 """Maximum distance between the outlines of neighbouring rooms, metres."""
 _ROOM_RESOLUTION = 0.1
-"""Cell size of the maps in which rooms are found, metres."""
+"""Cell size of the maps in which rooms are segmented, metres."""
 _MAX_CANDIDATES = 100_000
-"""Cells among which free places are chosen."""
+"""Maximum number of cells from which free places are chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,9 +193,9 @@ class _RoomPlace:
     place: tuple[float, float]
     """The point farthest from obstacles and from the outline of the room, world metres."""
     area: float
-    """Square metres of free floor in the room."""
+    """Area of free floor in the room, square metres."""
     reachable: bool
-    """Whether a path that is wide enough for the robot leads here from the largest region of the floor."""
+    """Whether a path that is wide enough for the robot leads to the place from the largest region of the floor."""
 
 
 class _NamedRooms:

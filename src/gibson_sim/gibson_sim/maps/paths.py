@@ -19,17 +19,17 @@ Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 
 _REACH = 3
-"""Rows or columns that a step of the graph crosses at most."""
+"""Maximum number of rows or columns that a step of the graph crosses."""
 _SNAP_DISTANCE = 0.5
-"""A start or goal that is not free is moved to a free cell at most this far away, metres."""
+"""Maximum distance by which a start or goal is moved to a free cell, metres."""
 _SAMPLES_PER_CELL = 4
-"""Points of a line of sight that are looked up, for each cell of its length."""
+"""Number of sample points of a line of sight, per cell of its length."""
 _SPARSE = 12
-"""Of these, one in so many is looked up first."""
+"""Stride of the sample points of a line of sight that are tested first."""
 _MAX_TAUT_POINTS = 120
-"""Points of a path that are tested for lines of sight; a longer path keeps its turns and points evenly between them."""
+"""Maximum number of points of a path that are tested for lines of sight; a longer path is reduced to its turns and evenly spaced points."""
 _CORNER_COST = 1e-4
-"""Metres added for each corner, so that the path with fewer corners wins among equally long ones."""
+"""Cost of a corner, metres, so that among equally long paths the one with fewer corners is preferred."""
 
 
 class PathPlanner:
@@ -45,7 +45,7 @@ class PathPlanner:
     def __init__(self, floor: FloorMap, radius: float) -> None:
         self._floor, self._radius = floor, radius
         self.places: Bools = np.asarray(floor.free & (floor.distance_to_obstacle >= radius))
-        """(H, W): cells about whose centre a disc of ``radius`` touches nothing."""
+        """Mask of the cells at whose centre a disc of ``radius`` is free of collisions, (H, W)."""
         self._graph = GridGraph(self.places, floor.resolution, reach=_REACH, clear_lines=True)
 
     def distances(self, goal: ArrayLike) -> F64:

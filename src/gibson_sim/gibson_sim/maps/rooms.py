@@ -23,7 +23,7 @@ NARROWEST_DOOR = 0.4
 SMALLEST_ROOM = 2.0
 """Minimum area of a room, square metres."""
 _MAX_CELLS = 400_000
-"""Free cells of a map up to which rooms are looked for: growing the regions is a loop in Python."""
+"""Maximum number of free cells of a map in which rooms are segmented, since region growing is a Python loop."""
 _NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 
@@ -32,13 +32,13 @@ class Room:
     """A part of the floor whose only exits are doors."""
 
     center: tuple[float, float]
-    """The place farthest from obstacles, world metres."""
+    """Point farthest from obstacles, world metres."""
     low: tuple[float, float]
     """Lower left corner of the bounding rectangle of its floor, world metres."""
     high: tuple[float, float]
-    """Upper right corner of the same, world metres."""
+    """Upper right corner of the bounding rectangle of its floor, world metres."""
     area: float
-    """Square metres of free floor."""
+    """Area of free floor, square metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Door:
     """A narrow passage between two rooms."""
 
     center: tuple[float, float]
-    """World metres."""
+    """Centre of the passage, world metres."""
     yaw: float
     """Direction from the first room to the second, radians, world frame."""
     width: float

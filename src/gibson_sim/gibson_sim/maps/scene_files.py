@@ -22,13 +22,13 @@ from gibson_sim.scenes.spec import SceneSpec
 F64 = NDArray[np.float64]
 
 USUAL_ROBOT = RobotSize(radius=0.22, height=1.5)
-"""Robot that the files are made for, as high as one with an arm."""
+"""Robot size for which the files are computed, as high as a robot with an arm."""
 POSES = 100
 """Number of free poses on each floor."""
 SPARE = 0.03
 """Clearance between a robot at a free pose and the nearest obstacle, metres."""
 _POSES_IN_A_ROOM = 5
-"""Minimum number of free poses in a room that a robot can reach."""
+"""Minimum number of free poses in each reachable room."""
 _RESOLUTION = 0.02
 """Cell size of the maps, metres."""
 

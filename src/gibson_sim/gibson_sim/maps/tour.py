@@ -19,11 +19,11 @@ I64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 PREFERRED_CLEARANCE = 0.35
-"""Distance to obstacles, beyond the robot's radius, below which a path costs more, metres."""
+"""Clearance beyond the robot's radius below which a path costs more, metres."""
 CLEARANCE_WEIGHT = 4.0
-"""Extra cost of a metre of path right beside an obstacle, metres of path in the open."""
+"""Additional cost of a metre of path next to an obstacle, metres of path in the open."""
 SEEN_WITHIN = 0.8
-"""A tour counts places nearer to it than this as visited, metres."""
+"""Distance from the tour within which places count as visited, metres."""
 SPACING = 0.1
 """Maximum distance between neighbouring points of a tour, metres."""
 START_TOLERANCE = 0.15
@@ -32,7 +32,7 @@ _SMOOTHING_PASSES = 3
 _CORNER_CUT = 0.3
 """Distance from a corner at which smoothing cuts it, metres; at most a quarter of the segment."""
 _HEADINGS = 16
-"""Headings that are compared for a start."""
+"""Number of headings that are compared for a start."""
 
 
 def choose_start(floor_map: FloorMap, radius: float) -> tuple[float, float, float]:

@@ -35,22 +35,22 @@ Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 
 REACH = 0.3
-"""Maximum distance of ramps and steps above and below the height of the floor that they belong to, metres."""
+"""Maximum height difference between ramps and steps and the floor that they belong to, metres."""
 _LAYER = 0.01
-"""Thickness of the layers in which heights are told apart, metres."""
+"""Thickness of the height layers, metres."""
 
 STOREY = 1.8
-"""Minimum distance between two floors, metres: beds and tables are not floors."""
+"""Minimum height difference between two floors, metres: beds and tables are not floors."""
 SMALLEST_SHARE = 0.2
-"""Minimum area of a floor, as a share of that of the largest one."""
+"""Minimum area of a floor, as a fraction of that of the largest one."""
 SMALLEST_AREA = 2.0
 """Minimum area of a floor, square metres."""
 _HEADROOM = 1.5
 """Minimum height of a mesh above its floors, metres: a roof is not a floor."""
 _UP = 0.8
-"""Minimum cosine between the normal of a floor and the vertical."""
+"""Minimum cosine of the angle between the normal of a floor and the vertical."""
 _BIN = 0.02
-"""Width of the bins in which the heights of triangles are counted, metres."""
+"""Bin width of the histogram of triangle heights, metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +60,11 @@ class RobotSize:
     radius: float = 0.3
     """Radius of the circle about its base, metres."""
     height: float = 0.5
-    """Metres above the floor."""
+    """Height above the floor, metres."""
     step: float = FLOOR_CLEARANCE
-    """Highest step that it climbs, up or down, metres."""
+    """Maximum height of a step that it climbs, up or down, metres."""
     slope: float = math.radians(20.0)
-    """Steepest slope that it drives on, radians."""
+    """Maximum slope that it drives on, radians."""
 
     def __post_init__(self) -> None:
         for name, low, high in (("radius", 0.0, 10.0), ("height", 0.02, 10.0), ("step", 0.0, REACH), ("slope", 0.0, 1.2)):

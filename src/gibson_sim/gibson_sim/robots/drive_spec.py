@@ -1,6 +1,6 @@
-"""Specifications of drives: pure values, one class for each kind.
+"""Drive specifications: pure values, one class for each kind of drive.
 
-All are in the frame of the base (x forward, y left). ``robots.drives`` has the kinematics, ``robots.loading.drive`` reads the files.
+All are in the frame of the base (x forward, y left). ``robots.drives`` implements the kinematics, ``robots.loading.drive`` reads the files.
 """
 
 from __future__ import annotations
@@ -21,42 +21,43 @@ DriveKind = Literal["differential", "skid_steer", "omni", "ackermann"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Limits:
-    """Fields of all drives."""
+    """Common fields of all drives."""
 
     wheel_radius: float
-    """Metres."""
+    """Radius of the driven wheels, metres."""
     max_linear: float = 0.5
-    """m/s."""
+    """Maximum forward speed, m/s."""
     max_angular: float = 2.0
-    """rad/s."""
+    """Maximum yaw rate, rad/s."""
     max_linear_acceleration: float = 1.0
-    """m/s^2, accelerating and braking."""
+    """Maximum forward acceleration and deceleration, m/s^2."""
     max_wheel_torque: float = 10.0
     """Torque limit of each driven wheel, N m."""
     command_delay: float = 0.0
-    """Time from a command's arrival to its effect on the motors, s, 0 to 10; whole physics steps."""
+    """Delay from the arrival of a command to its effect on the motors, s, 0 to 10; rounded to whole physics steps."""
     slip: float = 0.0
-    """Fraction of the distance, forward or sideways, that the wheels roll and the base does not move; below 0 it moves farther; -0.5 to 0.9."""
+    """Slip of translation: fraction of the rolled distance that the base does not move, -0.5 to 0.9; below 0 it moves farther."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DifferentialSpec(_Limits):
-    """Wheels on the left and on the right, driven by velocity: one per side (differential) or more (skid steer)."""
+    """Velocity-controlled wheels on the left and on the right: one per side (differential) or more (skid steer)."""
 
     left_joints: tuple[str, ...]
     right_joints: tuple[str, ...]
-    """As many as on the left."""
+    """Joints of the right wheels, as many as on the left."""
     wheel_separation: float
-    """Distance between the contact points of the wheels, metres; skid steer: that at which wheels without slip would turn as it does."""
+    """Distance between the contact points of left and right wheels, metres; skid steer: effective separation, with which wheels without
+    slip would turn the same."""
     kind: DriveKind = "differential"
     max_angular_acceleration: float = 4.0
-    """rad/s^2."""
+    """Maximum yaw acceleration, rad/s^2."""
     turn_slip: float = 0.0
-    """Fraction of the rotation that the wheels roll and the base does not make, -0.5 to 0.9."""
+    """Slip of rotation: fraction of the rolled rotation that the base does not make, -0.5 to 0.9."""
     traction: float = 0.8
-    """Skid steer: greatest force of all wheels together along the floor, as a fraction of the load on them."""
+    """Skid steer: maximum total force of the wheels along the floor, as a fraction of the load on them."""
     left_signs: tuple[float, ...] = ()
-    """For each joint +1 if a positive turn rolls the robot forward, -1 if its axis points the other way; empty = all +1."""
+    """Sign of each left joint: +1 if positive rotation rolls the robot forward, -1 if the axis is reversed; empty = all +1."""
     right_signs: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -68,25 +69,27 @@ class DifferentialSpec(_Limits):
         _check_joints((*self.left_joints, *self.right_joints))
         left, right = len(self.left_joints), len(self.right_joints)
         if left != right or left < 1:
-            raise ConfigError(f"drive: {left} left and {right} right wheels, must be one a side or more, and as many on both")
+            raise ConfigError(
+                f"drive: {left} left and {right} right wheels, must be one or more per side, and the same number on both"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class OmniWheel:
-    """A wheel with rollers around it: mecanum, or an omni wheel."""
+    """A wheel with rollers: a mecanum or an omni wheel."""
 
     joint: str
     position: tuple[float, float]
-    """x, y of its hub in the base frame, metres."""
+    """Position x, y of its hub in the base frame, metres."""
     heading: float
-    """Direction in which a positive turn of the joint rolls it, radians from x, counter-clockwise."""
+    """Rolling direction for positive rotation of the joint, radians from x, counter-clockwise."""
     roller: float = 0.0
     """Angle from ``heading`` to the axis of the roller on the floor, radians, counter-clockwise seen from above; 0 = an omni wheel."""
 
     def speed_row(self, radius: float) -> Vec3:
-        """Returns the factors of the base's velocities (x, y, yaw) whose sum is the joint's speed, rad/s.
+        """Returns the coefficients of the base velocities (x, y, yaw) in the joint speed, rad/s.
 
-        A roller cannot roll along its axis: floor and rim have equal velocities in that direction.
+        A roller cannot roll along its axis: floor and rim have the same velocity in that direction.
         """
         along_x, along_y = math.cos(self.heading + self.roller), math.sin(self.heading + self.roller)
         grip = radius * math.cos(self.roller)
@@ -96,19 +99,19 @@ class OmniWheel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OmniSpec(_Limits):
-    """Three or more wheels with rollers, which together move the base in every direction."""
+    """Three or more wheels with rollers, which move the base in all directions."""
 
     wheels: tuple[OmniWheel, ...]
     max_lateral: float = 0.5
-    """m/s."""
+    """Maximum lateral speed, m/s."""
     max_lateral_acceleration: float = 1.0
-    """m/s^2."""
+    """Maximum lateral acceleration, m/s^2."""
     max_angular_acceleration: float = 4.0
-    """rad/s^2."""
+    """Maximum yaw acceleration, rad/s^2."""
     turn_slip: float = 0.0
-    """Fraction of the rotation that the wheels roll and the base does not make, -0.5 to 0.9."""
+    """Slip of rotation: fraction of the rolled rotation that the base does not make, -0.5 to 0.9."""
     traction: float = 0.5
-    """Maximum force of all wheels together along the floor, as a fraction of the load on them."""
+    """Maximum total force of the wheels along the floor, as a fraction of the load on them."""
 
     def __post_init__(self) -> None:
         _check_positive(
@@ -120,12 +123,12 @@ class OmniSpec(_Limits):
         for wheel in self.wheels:
             if abs(math.cos(wheel.roller)) < 0.1:
                 raise ConfigError(
-                    f"drive: rollers of {quoted(wheel.joint)} stand at {math.degrees(wheel.roller):g} degrees, so that its motor turns "
-                    "them only; 0 is an omni wheel, 45 or -45 mecanum"
+                    f"drive: rollers of {quoted(wheel.joint)} are at {math.degrees(wheel.roller):g} degrees, so that its motor only turns "
+                    "them; 0 is an omni wheel, 45 or -45 mecanum"
                 )
         if len(self.wheels) < 3 or np.linalg.matrix_rank(self.wheel_matrix(), tol=1e-3 / self.wheel_radius) < 3:
             raise ConfigError(
-                f"drive: {len(self.wheels)} wheels as they stand cannot move the base in every direction; "
+                f"drive: {len(self.wheels)} wheels in this arrangement cannot move the base in all directions; "
                 "give three or more, with rollers or headings that differ"
             )
 
@@ -135,13 +138,13 @@ class OmniSpec(_Limits):
         return "omni"
 
     def wheel_matrix(self) -> NDArray[np.float64]:
-        """Returns the (N, 3) matrix that takes (x m/s, y m/s, yaw rad/s) of the base to speeds of the joints, rad/s."""
+        """Returns the (N, 3) matrix that maps base velocities (x m/s, y m/s, yaw rad/s) to joint speeds, rad/s."""
         return np.array([wheel.speed_row(self.wheel_radius) for wheel in self.wheels]).reshape(-1, 3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AckermannSpec(_Limits):
-    """A car: two driven wheels behind, two steered ones in front."""
+    """A car: two driven rear wheels, two steered front wheels."""
 
     left_joint: str
     """Joint of the left driven wheel."""
@@ -155,20 +158,20 @@ class AckermannSpec(_Limits):
     steering_separation: float
     """Distance between the steering joints, metres."""
     max_steering: float
-    """Maximum angle of the inner wheel, radians."""
+    """Maximum steering angle of the inner wheel, radians."""
     max_steering_rate: float = 1.5
-    """rad/s."""
+    """Maximum steering rate, rad/s."""
     max_steering_torque: float = 20.0
     """Torque limit of each steering joint, N m."""
     min_turning_radius: float = 0.0
-    """Distance from the centre of the rear axle to that of the tightest turn, metres; ``max_steering`` may make it larger."""
+    """Minimum turning radius, measured at the centre of the rear axle, metres; ``max_steering`` may make it larger."""
     rear_axle_x: float = 0.0
     """Position of the rear axle along x in the base frame, metres."""
     left_sign: float = 1.0
-    """+1 if a positive turn of the left joint rolls the car forward, -1 if its axis points the other way."""
+    """Sign of the left joint: +1 if positive rotation rolls the car forward, -1 if the axis is reversed."""
     right_sign: float = 1.0
     left_steering_sign: float = 1.0
-    """+1 if a positive turn of the joint steers to the left."""
+    """Sign of the left steering joint: +1 if positive rotation steers to the left."""
     right_steering_sign: float = 1.0
 
     def __post_init__(self) -> None:
@@ -192,7 +195,7 @@ class AckermannSpec(_Limits):
 
     @property
     def max_curvature(self) -> float:
-        """Curvature of the path of the rear axle's centre in the tightest turn, 1/m."""
+        """Maximum curvature of the path of the rear axle's centre, 1/m."""
         inner = math.tan(self.max_steering)
         tightest = inner / (self.wheelbase + inner * self.steering_separation / 2)
         return tightest if self.min_turning_radius == 0.0 else min(tightest, 1.0 / self.min_turning_radius)
@@ -221,4 +224,4 @@ def _check_response(command_delay: float, slip: float, turn_slip: float = 0.0) -
 def _check_joints(names: tuple[str, ...]) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"drive: joint {quoted(name)} is named twice; each joint has one task")
+            raise ConfigError(f"drive: joint {quoted(name)} is named twice; each joint must have one role")

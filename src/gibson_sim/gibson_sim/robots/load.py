@@ -1,4 +1,4 @@
-"""Reads ``robot.yaml`` and its URDF into a ``RobotSpec``; ``docs/robots.md`` explains the keys. Pure: no physics, no ROS."""
+"""Reads a ``robot.yaml`` and its URDF to a ``RobotSpec``; ``docs/robots.md`` describes the keys. Pure: no physics, no ROS."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _NO_ROBOTS = {
     ".xml": "is not a URDF by its name",
     ".zip": "is an archive: unpack it",
 }
-"""Suffixes of files that users give as robots by mistake, and what to say of them."""
+"""Suffix of files that users give as robots by mistake -> error text."""
 
 
 def load_robot(
@@ -65,17 +65,17 @@ def load_robot(
     find: Callable[[str], Path] | None = None,
     points: MeshPoints | None = None,
 ) -> RobotSpec:
-    """Returns the robot of a ``robot.yaml``, or of a URDF or a xacro, for which the rest is guessed (``robots.loading.derive``).
+    """Returns the robot of a ``robot.yaml``, or of a URDF or a xacro, whose other values are guessed (``robots.loading.derive``).
 
     Args:
         path_or_name: A ``robot.yaml``, a URDF, a xacro, a folder that has one, or the name of a robot that ``find`` knows.
         name: Body name; its links become ``<name>/<link>``.
         start: T_world_base at load; None = the origin.
         find: Returns a robot's folder or file by its name; None = ``config/robots/<name>`` of a share folder (see ``resources``).
-        points: Reads meshes; None = they do not count in radius and height, nor as wheels. ``scenes.robot_files`` provides it.
+        points: Reads meshes; None = meshes are ignored for radius, height and wheels. ``scenes.robot_files`` provides it.
 
     Raises:
-        RobotError: a file is missing or broken; one line.
+        RobotError: a file is missing or invalid; one line.
     """
     if not ROS_NAME.fullmatch(name):
         raise RobotError(f"robot name {quoted(name)} is not usable in ROS; use letters, digits and _, a letter first")
@@ -99,7 +99,7 @@ def load_robot(
         fixed_base = robot.flag("fixed_base", False)
         if fixed_base and drive is not None:
             raise RobotError(
-                f"{robot.where}: fixed_base is true and there is a drive; a base that is fixed cannot drive: remove one of them"
+                f"{robot.where}: fixed_base is true and there is a drive; a fixed base cannot drive: remove one of them"
             )
         poses, joints = read_poses(robot, model, drive)
         radius, height = _size(model, robot, dict(joints), points)
@@ -130,16 +130,16 @@ def derive_file(
     path: Path, points: MeshPoints | None = None, arguments: Mapping[str, str] | None = None, *, needs_drive: bool = True
 ) -> DerivedRobot:
     """Returns a guess of the ``robot.yaml`` for the URDF or xacro at ``path``; see ``derive_robot``."""
-    # The file that the user gave is named in errors, not its expansion.
+    # Errors must name the user's file, not its expansion.
     model = replace(read_urdf(plain_description(path, arguments or {})), path=path)
     return derive_robot(model, points, needs_drive=needs_drive)
 
 
 def find_robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None = None) -> Path:
-    """Returns the absolute path of a robot's ``robot.yaml``, or of the URDF or xacro of a robot that has none.
+    """Returns the absolute path of a robot's ``robot.yaml``, or of the URDF or xacro of a robot without one.
 
     Raises:
-        RobotError: there is none, or a folder holds several.
+        RobotError: the robot does not exist, or a folder holds several.
     """
     path = Path(path_or_name)
     suffixes = (".yaml", ".yml", *DESCRIPTION_SUFFIXES)
@@ -183,7 +183,7 @@ def _model(robot: YamlMap, path: Path) -> UrdfModel:
 
 
 def _numbers_of(robot: YamlMap, key: str) -> dict[str, float]:
-    """Returns the numbers of a section by name."""
+    """Returns name -> number of a section."""
     section = robot.section(key)
     return {} if section is None else {str(name): section.number(name) for name in section.values}
 
@@ -205,28 +205,30 @@ def _description(robot: YamlMap, path: Path) -> Path:
 def _size(model: UrdfModel, robot: YamlMap, joints: Mapping[str, float], points: MeshPoints | None) -> tuple[float, float]:
     """Returns (radius about the base's z axis, height above the floor), metres, from the file or from the collision shapes.
 
-    ``joints`` has their positions at load, radians or metres.
+    ``joints``: joint positions at load, radians or metres.
     """
-    given = robot.numbers(("radius", "height"))
+    values = robot.numbers(("radius", "height"))
     radius, height, meshes = 0.0, 0.0, 0
     transforms = model.transforms(joints)
-    for link in model.links if len(given) < 2 else ():
+    for link in model.links if len(values) < 2 else ():
         for collision in link.collisions:
-            found = reach(collision.shape, transforms[link.name] @ matrix_from_pose(collision.pose), points)
-            if found is None:
+            extent = reach(collision.shape, transforms[link.name] @ matrix_from_pose(collision.pose), points)
+            if extent is None:
                 meshes += 1
             else:
-                radius, height = max(radius, found[0]), max(height, found[1])
-    if len(given) < 2:
+                radius, height = max(radius, extent[0]), max(height, extent[1])
+    if len(values) < 2:
         if radius == 0.0:
-            lost = [warning for warning in model.warnings if ": collision: " in warning]
+            mesh_warnings = [warning for warning in model.warnings if ": collision: " in warning]
             why = (
-                f"{model.path.name} has no collision shapes to measure" if not lost else f"nothing is left to measure: {lost[0]}"
+                f"{model.path.name} has no collision shapes to measure"
+                if not mesh_warnings
+                else f"nothing is left to measure: {mesh_warnings[0]}"
             )
             raise RobotError(f"{robot.where}: give radius and height (metres): {why}")
         if meshes:
             logger.warning("%s: radius and height leave out %d collision meshes; give them in the file", robot.where, meshes)
-    radius, height = given.get("radius", radius), given.get("height", height)
+    radius, height = values.get("radius", radius), values.get("height", height)
     if min(radius, height) <= 0:
         raise RobotError(f"{robot.where}: radius is {radius:g} m and height {height:g} m, both must be above 0")
     return radius, height

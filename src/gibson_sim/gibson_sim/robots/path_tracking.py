@@ -1,4 +1,4 @@
-"""Following a path with a differential drive, and scripted drives. Pure: a pose goes in, a speed and a yaw rate come out."""
+"""Path following with a differential drive, and scripted drives. Pure: computes a speed and a yaw rate from a pose."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from gibson_sim.quoting import quoted
 F64 = NDArray[np.float64]
 
 GOAL_TOLERANCE = 0.05
-"""A corner or the end of the path is reached at this distance, metres."""
+"""Distance at which a corner or the end of the path counts as reached, metres."""
 CUSP = math.radians(50.0)
-"""Where the path turns by more than this, the robot stops and turns in place."""
+"""Minimum direction change of a path at which the robot stops and turns in place, radians."""
 TURN_FROM = math.radians(50.0)
-"""A heading error from which the robot turns in place, ..."""
+"""Heading error above which the robot starts to turn in place, radians."""
 TURN_UNTIL = math.radians(6.0)
-"""... and to which it does so."""
+"""Heading error below which it stops turning in place, radians."""
 SLOWDOWN = 0.5
 """Deceleration planned towards corners and the end, m/s^2."""
 MIN_LINEAR = 0.06
-"""Slowest speed on the way, m/s, so that a corner is reached in finite time."""
+"""Minimum speed along the path, m/s, so that a corner is reached in finite time."""
 TURN_GAIN = 2.5
 """Yaw rate per heading error when turning in place, 1/s."""
 SQUARE_SIDE = 1.0
-"""Metres."""
+"""Side of the square drive, metres."""
 
 
 class PathFollower:
-    """Regulated pure pursuit: aims at a point ahead on the path, slows in bends, turns in place at corners.
+    """Regulated pure pursuit: drives towards a lookahead point on the path, slows down in bends, turns in place at corners.
 
     Args:
         path: (N, 2), metres, N >= 2, in the frame of the poses.
-        max_linear: greatest speed, m/s.
-        max_angular: greatest yaw rate, rad/s.
-        lookahead: distance along the path to the point aimed at, metres.
+        max_linear: maximum speed, m/s.
+        max_angular: maximum yaw rate, rad/s.
+        lookahead: distance along the path to the lookahead point, metres.
 
     Raises:
-        ConfigError: the path has fewer than two different points, or a limit is not above 0.
+        ConfigError: the path has fewer than two distinct points, or a limit is not above 0.
     """
 
     def __init__(self, path: ArrayLike, max_linear: float = 0.4, max_angular: float = 1.2, lookahead: float = 0.25) -> None:
@@ -72,23 +72,23 @@ class PathFollower:
 
     @property
     def progress(self) -> float:
-        """Share of the path's length that is behind the robot, 0 to 1."""
+        """Fraction of the path that is completed, 0 to 1."""
         return 1.0 if self._done else self._at / self.length
 
     def command(self, x: float, y: float, yaw: float) -> tuple[float, float]:
         """Returns forward speed (m/s) and yaw rate (rad/s) for a pose in the frame of the path (metres, radians)."""
         if not all(map(math.isfinite, (x, y, yaw))):
             raise CommandError(f"path follower: pose ({x}, {y}, {yaw}) holds a NaN or an infinity")
-        here = np.array([x, y])
+        position = np.array([x, y])
         if not self._done:
-            self._advance(here)
+            self._advance(position)
         if self._done:
             return 0.0, 0.0
         end = float(self._arc[self._ends[self._leg]])
         target = self._point_at(min(self._at + self._lookahead, end))
-        if float(np.linalg.norm(target - here)) < GOAL_TOLERANCE:
+        if float(np.linalg.norm(target - position)) < GOAL_TOLERANCE:
             target = self._point_at(end)
-        dx, dy = (float(c) for c in target - here)
+        dx, dy = (float(c) for c in target - position)
         error = wrap_angle(math.atan2(dy, dx) - yaw)
         if abs(error) > TURN_FROM:
             self._turning = True
@@ -96,14 +96,14 @@ class PathFollower:
             self._turning = False
         if self._turning:
             return 0.0, self._clip_turn(TURN_GAIN * error)
-        return self._pursue(error, math.hypot(dx, dy), float(np.linalg.norm(self._point_at(end) - here)))
+        return self._pursue(error, math.hypot(dx, dy), float(np.linalg.norm(self._point_at(end) - position)))
 
     def _pursue(self, error: float, distance: float, to_corner: float) -> tuple[float, float]:
-        """Returns the command that drives an arc through the point ahead."""
+        """Returns the command that drives an arc through the lookahead point."""
         curvature = 2.0 * math.sin(error) / max(distance, GOAL_TOLERANCE)
         linear = min(self._max_linear, math.sqrt(2 * SLOWDOWN * max(to_corner - GOAL_TOLERANCE / 2, 0.0)))
         if abs(curvature) > 1e-9:
-            # Half of the yaw rate stays in reserve for corrections.
+            # Keep half of the yaw rate in reserve for corrections.
             linear = min(linear, max(0.5 * self._max_angular / abs(curvature), MIN_LINEAR))
         linear = min(max(linear, MIN_LINEAR), self._max_linear)
         return linear, self._clip_turn(linear * curvature)
@@ -111,32 +111,32 @@ class PathFollower:
     def _clip_turn(self, angular: float) -> float:
         return min(max(angular, -self._max_angular), self._max_angular)
 
-    def _advance(self, here: F64) -> None:
-        """Moves ``_at`` to the nearest point of the path ahead, but not round a corner that is not reached."""
+    def _advance(self, position: F64) -> None:
+        """Advances ``_at`` to the nearest point of the path ahead, but not beyond a corner that is not reached."""
         end_index = self._ends[self._leg]
         end = float(self._arc[end_index])
-        self._at = self._nearest(here, self._at, min(self._at + 2 * self._lookahead + 0.5, end))
-        if float(np.linalg.norm(self._points[end_index] - here)) > GOAL_TOLERANCE and not self._passed(here, end_index):
+        self._at = self._nearest(position, self._at, min(self._at + 2 * self._lookahead + 0.5, end))
+        if float(np.linalg.norm(self._points[end_index] - position)) > GOAL_TOLERANCE and not self._passed(position, end_index):
             return
         self._at, self._turning = end, True
         self._leg += 1
         if self._leg == len(self._ends):
             self._done = True
 
-    def _passed(self, here: F64, index: int) -> bool:
-        """Whether the robot, near the corner, has driven past it: it would otherwise circle about a point beside its way."""
+    def _passed(self, position: F64, index: int) -> bool:
+        """Returns whether the robot has passed a nearby corner; else it would circle about a point beside its path."""
         along = self._points[index] - self._points[index - 1]
-        offset = here - self._points[index]
+        offset = position - self._points[index]
         return bool(offset @ along >= 0 and np.linalg.norm(offset) < 3 * GOAL_TOLERANCE)
 
-    def _nearest(self, here: F64, first: float, last: float) -> float:
+    def _nearest(self, position: F64, first: float, last: float) -> float:
         """Returns the arc length of the nearest point between two arc lengths."""
         i = min(max(int(np.searchsorted(self._arc, first, side="right")) - 1, 0), len(self._points) - 2)
         j = max(int(np.searchsorted(self._arc, last, side="left")), i + 1)
         a, b = self._points[i:j], self._points[i + 1 : j + 1]
         along = b - a
-        t = np.clip(np.sum((here - a) * along, axis=1) / np.sum(along * along, axis=1), 0.0, 1.0)
-        nearest = int(np.argmin(np.sum((a + t[:, None] * along - here) ** 2, axis=1)))
+        t = np.clip(np.sum((position - a) * along, axis=1) / np.sum(along * along, axis=1), 0.0, 1.0)
+        nearest = int(np.argmin(np.sum((a + t[:, None] * along - position) ** 2, axis=1)))
         arc = self._arc[i + nearest] + t[nearest] * (self._arc[i + nearest + 1] - self._arc[i + nearest])
         return float(min(max(arc, first), last))
 
@@ -145,7 +145,7 @@ class PathFollower:
 
 
 def _distinct(path: ArrayLike) -> F64:
-    """Returns the path (N, 2) without points that repeat the one before."""
+    """Returns the path (N, 2) without consecutive duplicates."""
     points = np.asarray(path, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
         raise ConfigError(f"path follower: the path has shape {points.shape}; it must be (N, 2) finite numbers")
@@ -157,7 +157,7 @@ def _distinct(path: ArrayLike) -> F64:
 
 
 def _cusps(points: F64) -> list[int]:
-    """Returns the indices of the corners where the robot must turn in place, and of the end."""
+    """Returns the indices of the corners at which the robot must turn in place, and of the end."""
     headings = np.arctan2(*np.diff(points, axis=0).T[::-1])
     turns = np.abs((np.diff(headings) + math.pi) % (2 * math.pi) - math.pi)
     return [*(int(i) + 1 for i in np.flatnonzero(turns > CUSP)), len(points) - 1]
@@ -165,10 +165,10 @@ def _cusps(points: F64) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class ScriptedDrive:
-    """Velocities over time, one after the other."""
+    """A sequence of velocities over time."""
 
     steps: tuple[tuple[float, float, float], ...]
-    """(forward speed in m/s, yaw rate in rad/s, seconds) each."""
+    """Steps (forward speed m/s, yaw rate rad/s, duration s)."""
 
     def __post_init__(self) -> None:
         if not self.steps:
@@ -179,7 +179,7 @@ class ScriptedDrive:
 
     @property
     def duration(self) -> float:
-        """Seconds until the last step ends."""
+        """Total duration, seconds."""
         return sum(seconds for _, _, seconds in self.steps)
 
     def command(self, seconds: float) -> tuple[float, float]:
@@ -197,14 +197,14 @@ def scripted_drive(name: str, *, linear: float = 0.4, angular: float = 1.2, leng
     """Returns a drive by name, or read from a file.
 
     Args:
-        name: ``forward`` (straight on for ``length``), ``square`` (sides of 1 m, counter-clockwise, ending as it began), ``spin``
-            (one turn counter-clockwise), or a text file for ``parse_script``.
+        name: ``forward`` (straight for ``length``), ``square`` (sides of 1 m, counter-clockwise, ending at the start pose), ``spin``
+            (one revolution counter-clockwise), or a text file for ``parse_script``.
         linear: speed of the named drives, m/s.
         angular: yaw rate of the named drives, rad/s.
-        length: metres.
+        length: length of ``forward``, metres.
 
     Raises:
-        ConfigError: the name is unknown and no such file can be read, or the file is not a script.
+        ConfigError: the name is neither known nor a readable file, or the file is not a script.
     """
     if name == "forward":
         return ScriptedDrive(((linear, 0.0, length / linear),))

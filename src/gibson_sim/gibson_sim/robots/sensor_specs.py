@@ -1,4 +1,4 @@
-"""Specifications of a robot's sensors other than cameras: pure values. Every noise is off unless it is given.
+"""Specifications of a robot's sensors other than cameras: pure values. All noise is off by default.
 
 ``name`` is the topic, relative to the robot's namespace; ``link`` is ``<body>/<link>``.
 """
@@ -14,41 +14,41 @@ from gibson_sim.quoting import quoted
 from gibson_sim.types import check_seed
 
 TOPIC = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
-"""Names that are valid as relative ROS topics."""
+"""Pattern of valid relative ROS topic names."""
 MAX_RAYS = 1_000_000
-"""Rays of one scan."""
+"""Maximum number of rays of one scan."""
 TURN = 2.0 * math.pi
 """One revolution, radians."""
 
 
 @dataclass(frozen=True, slots=True)
 class LidarSpec:
-    """A planar lidar: evenly spaced rays about the link's z axis, counter-clockwise, all cast at the same instant."""
+    """A planar lidar: evenly spaced rays about the link's z axis, counter-clockwise, all cast at the same time."""
 
     link: str
-    """``<body>/<link>``; the rays leave from the origin of this link."""
+    """Link ``<body>/<link>`` from whose origin the rays are cast."""
     beams: int = 360
     range_min: float = 0.12
-    """Metres; nearer returns are reported as -inf (REP 117)."""
+    """Minimum range, metres; nearer returns are reported as -inf (REP 117)."""
     range_max: float = 12.0
-    """Metres; farther returns, and none, are reported as +inf (REP 117)."""
+    """Maximum range, metres; farther returns, and no return, are reported as +inf (REP 117)."""
     rate_hz: float = 10.0
     name: str = "scan"
     angle_min: float = 0.0
     """Direction of the first ray, radians from the link's x axis."""
     fov: float = TURN
-    """Radians from the first ray to the last, in (0, 2 pi]; in a full turn the last ray is one step before the first."""
+    """Angle from the first ray to the last, radians, in (0, 2 pi]; for a full revolution the last ray is one step before the first."""
     range_noise: float = 0.0
-    """Standard deviation of a range, metres, at any distance."""
+    """Standard deviation of a range, independent of the distance, metres."""
     resolution: float = 0.0
-    """Ranges are multiples of this, metres; 0 = exact."""
+    """Range resolution: ranges are multiples of it, metres; 0 = exact."""
     dropout: float = 0.0
-    """Fraction of the rays that do not return, at random, 0 to 1."""
+    """Probability that a ray does not return, 0 to 1."""
     seed: int = 0
     range_noise_ratio: float = 0.0
     """Standard deviation of a range as a fraction of it, in addition to ``range_noise``; 0.01 = 1 % of the distance."""
     range_scale: float = 0.0
-    """Standard deviation of the scale error of this device, a factor near 1 on all distances, sampled once for each seed."""
+    """Standard deviation of the scale factor of this device around 1, sampled once for each seed."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
@@ -64,46 +64,46 @@ class LidarSpec:
 
     @property
     def is_full_turn(self) -> bool:
-        """Whether the rays span a whole revolution."""
+        """Whether the rays span a full revolution."""
         return self.fov >= TURN - 1e-9
 
     @property
     def angle_increment(self) -> float:
-        """Radians from one ray to the next."""
+        """Angle between adjacent rays, radians."""
         return TURN / self.beams if self.is_full_turn else self.fov / (self.beams - 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Lidar3DSpec:
-    """A spinning lidar of many channels; all rays of a revolution are cast at the same instant."""
+    """A spinning multi-channel lidar; all rays of a revolution are cast at the same time."""
 
     link: str
-    """``<body>/<link>``; the rays leave from the origin of this link."""
+    """Link ``<body>/<link>`` from whose origin the rays are cast."""
     name: str = "lidar/points"
     channels: int = 16
     """Number of rings, evenly spaced between the two elevations."""
     samples: int = 720
-    """Rays of a ring in one revolution, the first along the link's x axis, then counter-clockwise."""
+    """Number of rays per ring in one revolution, the first along the link's x axis, then counter-clockwise."""
     elevation_min: float = math.radians(-15.0)
-    """Lowest ring, radians above the link's x-y plane."""
+    """Elevation of the lowest ring above the link's x-y plane, radians."""
     elevation_max: float = math.radians(15.0)
-    """Highest ring; a single channel is in the middle."""
+    """Elevation of the highest ring, radians; a single channel is in the middle."""
     range_min: float = 0.3
-    """Metres; nearer returns give no point."""
+    """Minimum range, metres; nearer returns yield no point."""
     range_max: float = 100.0
-    """Metres; farther returns give no point."""
+    """Maximum range, metres; farther returns yield no point."""
     rate_hz: float = 10.0
     range_noise: float = 0.0
-    """Standard deviation of a range, metres, at any distance."""
+    """Standard deviation of a range, independent of the distance, metres."""
     resolution: float = 0.0
-    """Ranges are multiples of this, metres; 0 = exact."""
+    """Range resolution: ranges are multiples of it, metres; 0 = exact."""
     dropout: float = 0.0
-    """Fraction of the rays that do not return, at random, 0 to 1."""
+    """Probability that a ray does not return, 0 to 1."""
     seed: int = 0
     range_noise_ratio: float = 0.0
     """Standard deviation of a range as a fraction of it, in addition to ``range_noise``; 0.01 = 1 % of the distance."""
     range_scale: float = 0.0
-    """Standard deviation of the scale error of this device, a factor near 1 on all distances, sampled once for each seed."""
+    """Standard deviation of the scale factor of this device around 1, sampled once for each seed."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
@@ -121,10 +121,10 @@ class Lidar3DSpec:
 
 @dataclass(frozen=True, slots=True)
 class ImuSpec:
-    """Gyroscopes, accelerometers and, by default, an orientation (REP 145)."""
+    """An IMU: gyroscopes, accelerometers and, by default, an orientation (REP 145)."""
 
     link: str
-    """``<body>/<link>``: the sensor measures at the origin of this link, along its axes."""
+    """Link ``<body>/<link>``: the sensor measures at its origin, along its axes."""
     name: str = "imu"
     rate_hz: float = 100.0
     gyro_noise: float = 0.0
@@ -153,15 +153,15 @@ class ImuSpec:
 
 @dataclass(frozen=True, slots=True)
 class BumperSpec:
-    """Detects pressure on the robot from the side; what carries the robot, or lies on it, does not count."""
+    """A bumper: detects lateral contacts; contacts of supporting surfaces and of loads on the robot do not count."""
 
     link: str
-    """``<body>/<link>`` in whose frame the force is reported."""
+    """Link ``<body>/<link>`` in whose frame the force is reported."""
     links: tuple[str, ...] = ()
     """Sensitive links, without the body name: the first of each rigid group; () = the whole robot."""
     name: str = "bumper"
     threshold: float = 1.0
-    """Minimum force that is detected, all contacts together, N, above 0."""
+    """Minimum total force of all contacts that is detected, N, above 0."""
     max_slope: float = math.radians(45.0)
     """Angle to the vertical below which the normal of a contact is that of a floor or a load, radians, in [0, pi/2)."""
     rate_hz: float = 30.0
@@ -177,25 +177,25 @@ class BumperSpec:
 
 @dataclass(frozen=True, slots=True)
 class BatterySpec:
-    """A battery whose voltage falls linearly with its charge. It is never recharged, and an empty one does not stop the robot."""
+    """A battery whose voltage falls linearly with its charge. It is never recharged, and an empty battery does not stop the robot."""
 
     name: str = "battery_state"
     capacity_ah: float = 5.2
     """Charge of a full battery, A h."""
     voltage_full: float = 12.6
-    """V."""
+    """Voltage of a full battery, V."""
     voltage_empty: float = 9.9
-    """V."""
+    """Voltage of an empty battery, V."""
     idle_w: float = 10.0
-    """Power consumption of everything but the motors, W."""
+    """Power consumption without the motors, W."""
     efficiency: float = 0.6
     """Ratio of the mechanical power of the joints to the power of their motors, in (0, 1]; braking recovers nothing."""
     torque_w: float = 0.0
-    """Additional power of the motors, moving or not, W per N m."""
+    """Additional power of the motors at any speed, W per N m."""
     start: float = 1.0
-    """Charge at the start, 0 to 1 of the capacity."""
+    """Charge at the start, as a fraction of the capacity, 0 to 1."""
     warn_below: float = 0.2
-    """Charge, 0 to 1 of the capacity, below which it is low."""
+    """Low charge threshold, as a fraction of the capacity, 0 to 1."""
     rate_hz: float = 1.0
     """Reports per second; the motors' power is sampled at the same rate."""
 
@@ -222,7 +222,7 @@ class WheelOdometrySpec:
     """Errors of wheel odometry.
 
     The alphas are those of the odometry model in Thrun, Burgard and Fox, "Probabilistic Robotics" (2005), for motions of 1 m and 1 rad, over which an
-    error is a constant fraction of the motion. The errors of longer motions add up as independent ones (a random walk).
+    error is a constant fraction of the motion. The errors of longer motions are sums of independent errors (a random walk).
     """
 
     encoder_ticks: int = 0
@@ -269,7 +269,7 @@ class SensorSpecs:
         names = self.names
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ConfigError(f"sensors: {', '.join(twice)} is the name of more than one; names are topics and must differ")
+            raise ConfigError(f"sensors: {', '.join(twice)} is the name of more than one; names are topics and must be unique")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -279,7 +279,7 @@ class SensorSpecs:
 
 
 def _name(name: str, link: str) -> str:
-    """Returns how an error message begins; raises ConfigError for a name that is not a topic."""
+    """Returns the beginning of error messages; raises ConfigError if the name is not a valid topic."""
     what = f"sensor {quoted(name)} on {quoted(link)}" if link else f"sensor {quoted(name)}"
     if not TOPIC.fullmatch(name):
         raise ConfigError(f"{what}: the name is a topic; use letters, digits, _ and /, a letter first")
@@ -298,7 +298,7 @@ def _ranging(what: str, spec: LidarSpec | Lidar3DSpec) -> None:
     for key in ("range_noise_ratio", "range_scale"):
         if not 0.0 <= getattr(spec, key) <= 0.2:
             raise ConfigError(
-                f"{what}: {key} is {getattr(spec, key):g}, must be 0 to 0.2: a part of the distance, not a percentage"
+                f"{what}: {key} is {getattr(spec, key):g}, must be 0 to 0.2: a fraction of the distance, not a percentage"
             )
     _fraction(what, "dropout", spec.dropout)
 

@@ -1,4 +1,4 @@
-"""``RobotSpec``, what a robot is: shapes on links, a drive, cameras, sensors, arms. Pure values; ``robots.load`` reads them from files."""
+"""``RobotSpec``, the specification of a robot: links, drive, cameras, sensors, arms. Pure values; ``robots.load`` reads them from files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gibson_sim.types import CameraSpec, Pose
 
 @dataclass(frozen=True, slots=True)
 class RobotSpec:
-    """One robot: its links, drive, sensors and arms, and where it starts."""
+    """A robot: its links, drive, sensors and arms, and its start pose."""
 
     name: str
     """Body name: its links are ``<name>/<link>``."""
@@ -33,16 +33,16 @@ class RobotSpec:
     radius: float
     """Radius of the smallest circle about the base that contains the robot's footprint, metres."""
     height: float
-    """Metres above the floor."""
+    """Height above the floor, metres."""
     cameras: tuple[CameraSpec, ...] = ()
     sensors: SensorSpecs = field(default_factory=SensorSpecs)
     """Sensors other than cameras."""
     start: Pose = field(default_factory=Pose)
     """T_world_base at load and after a reset."""
     fixed_base: bool = False
-    """Whether its root link is fixed to the world, as that of an arm on a table; such a robot has no drive."""
+    """Whether the root link is fixed to the world, as for an arm on a table; such a robot has no drive."""
     joints: tuple[tuple[str, float], ...] = ()
-    """Names and positions of joints at load and after a reset, radians or metres; missing joints are at 0."""
+    """(Joint name, position) at load and after a reset, radians or metres; missing joints are at 0."""
     named_poses: tuple[NamedPose, ...] = ()
     manipulators: tuple[ManipulatorSpec, ...] = ()
     """Arms, in the order of the file."""
@@ -77,7 +77,7 @@ class ManipulatorSpec:
 
     name: str
     joints: tuple[str, ...]
-    """From the base to the tool; each moves those after it."""
+    """Joints from the base to the tool; each moves the following ones."""
     tip_link: str
     """Link whose frame is the tool centre point, which inverse kinematics and Cartesian commands move."""
     base_link: str
@@ -87,14 +87,14 @@ class ManipulatorSpec:
 
 @dataclass(frozen=True, slots=True)
 class GripperSpec:
-    """Fingers that open and close together."""
+    """A gripper whose fingers open and close together."""
 
     joints: tuple[str, ...]
-    """One for each finger with a motor; fingers that mimic another are left out."""
+    """Joints of the fingers, one for each finger with a motor; fingers that mimic another are left out."""
     open: float
     """Position of every joint when the gripper is open, radians or metres."""
     closed: float
-    """The same when it is closed, with nothing in it."""
+    """Position of every joint when the empty gripper is closed, radians or metres."""
     max_effort: float
     """Effort limit of each joint, N or N m, unless a command gives a lower one."""
 
@@ -106,8 +106,8 @@ class GripperSpec:
 
 @dataclass(frozen=True, slots=True)
 class NamedPose:
-    """Positions of some joints under a name."""
+    """Named positions of some joints."""
 
     name: str
     joints: tuple[tuple[str, float], ...]
-    """Names and positions, radians or metres."""
+    """(Joint name, position), radians or metres."""

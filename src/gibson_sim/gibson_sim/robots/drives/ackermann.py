@@ -1,4 +1,4 @@
-"""Kinematics of a car: two driven wheels behind, two steered ones in front. Pure arithmetic, SI units.
+"""Kinematics of a car: two driven rear wheels, two steered front wheels. Pure arithmetic, SI units.
 
 A command is a forward speed and a yaw rate (as in a Twist for ros2_controllers' ackermann_steering_controller); their quotient is
 the curvature of the path of the rear axle's centre. Curvatures are 1/m, positive to the left.
@@ -14,13 +14,13 @@ from gibson_sim.robots.drives.base import Drive, DriveJoint, DriveTargets, Plana
 
 
 def steering_angles(curvature: float, car: AckermannSpec) -> tuple[float, float]:
-    """Returns the angles (left, right) of the front wheels, radians, positive to the left, whose axes meet at the centre of the turn."""
+    """Returns the angles (left, right) of the front wheels, radians, positive to the left, whose axes intersect at the centre of the turn."""
     half = curvature * car.steering_separation / 2
     return math.atan2(car.wheelbase * curvature, 1.0 - half), math.atan2(car.wheelbase * curvature, 1.0 + half)
 
 
 def curvature_from_steering(left: float, right: float, car: AckermannSpec) -> float:
-    """Returns the curvature by the angles of the front wheels (radians): the mean of both if they disagree."""
+    """Returns the curvature for the angles of the front wheels (radians): the mean of both if they disagree."""
     half = car.steering_separation / 2
     a, b = math.tan(left), math.tan(right)
     return (a / (car.wheelbase + a * half) + b / (car.wheelbase - b * half)) / 2
@@ -35,8 +35,8 @@ def rear_speeds(linear: float, curvature: float, car: AckermannSpec) -> tuple[fl
 def feasible_motion(commanded: PlanarVelocity, car: AckermannSpec) -> tuple[float, float | None]:
     """Returns (speed m/s, curvature 1/m) within the car's limits; curvature None = keep the steering.
 
-    The commanded path has priority: a speed that is too high for it is cut, and a turn that is too tight becomes the tightest one.
-    A yaw rate without a speed steers to the limit without driving, because a car cannot turn on the spot.
+    The commanded curvature has priority: the speed is reduced if it is too high for it, and the curvature is clamped to its maximum.
+    A yaw rate without a speed steers to the limit without driving, because a car cannot turn in place.
     """
     speed, yaw_rate = commanded.linear, commanded.angular
     if speed == 0.0:
@@ -47,7 +47,7 @@ def feasible_motion(commanded: PlanarVelocity, car: AckermannSpec) -> tuple[floa
 
 
 class AckermannDrive(Drive):
-    """Steers at a limited rate while it accelerates; odometry uses the rear wheels' mean and the front wheels' angles."""
+    """Ackermann drive with a limited steering rate; odometry uses the mean of the rear wheels and the angles of the front wheels."""
 
     def __init__(self, spec: AckermannSpec) -> None:
         super().__init__(
@@ -62,7 +62,7 @@ class AckermannDrive(Drive):
         )
         self._spec = spec
         self._steering = 0.0
-        """Angle of a single front wheel in the middle, radians, to which the rate limit applies."""
+        """Angle of a virtual front wheel in the middle, radians, to which the rate limit applies."""
 
     def _follow(self, commanded: PlanarVelocity, dt: float) -> DriveTargets:
         car = self._spec
@@ -76,7 +76,7 @@ class AckermannDrive(Drive):
         return DriveTargets(rear_speeds(self._rolled.linear, now, car), steering_angles(now, car))
 
     def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
-        """Returns the turns that the encoders measure, without ``slip``."""
+        """Returns the rotations that the encoders measure, corrected for ``slip``."""
         return increments if self._grip == 1.0 else [increment / self._grip for increment in increments]
 
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
@@ -86,6 +86,6 @@ class AckermannDrive(Drive):
         return self._arc(forward, curvature_from_steering(angles[0], angles[1], car))
 
     def _arc(self, forward: float, curvature: float) -> tuple[float, float, float]:
-        """Returns the motion of the base, (x, y, yaw), for that of the rear axle's centre, which never moves sideways."""
+        """Returns the motion of the base, (x, y, yaw), for that of the rear axle's centre, which does not move sideways."""
         turn = forward * curvature
         return forward, -self._spec.rear_axle_x * turn, turn

@@ -1,4 +1,4 @@
-"""Base class of all drives, which physics uses, and what they share: planar velocities, their limits, command delay, dead reckoning."""
+"""Base class of all drives, as used by physics, and common parts: planar velocities and their limits, command delay, dead reckoning."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class PlanarVelocity(NamedTuple):
     """Velocity of the base in its own frame."""
 
     linear: float = 0.0
-    """Forward, m/s."""
+    """Forward velocity, m/s."""
     lateral: float = 0.0
-    """To the left, m/s."""
+    """Velocity to the left, m/s."""
     angular: float = 0.0
-    """Counter-clockwise, rad/s."""
+    """Yaw rate, counter-clockwise, rad/s."""
 
 
 class DriveTargets(NamedTuple):
@@ -37,17 +37,17 @@ class DriveJoint(NamedTuple):
 
     name: str
     sign: float = 1.0
-    """-1 when a positive turn of the joint rolls backward or steers to the right."""
+    """Sign of the joint: -1 if positive rotation rolls backward or steers to the right."""
     is_left: bool = True
     """Whether it is on the robot's left."""
 
 
 class BaseServo(NamedTuple):
-    """Moves the base of a drive whose wheels slide by design, with as much force as the wheels would have.
+    """Moves the base of a drive whose wheels slide by design, with the force that the wheels would have.
 
-    No engine simulates rollers cheaply, and in Bullet a driven wheel that slides sideways slips many times too much, the more the slower it turns.
-    Such wheels therefore turn without friction, and the base gets the velocity that they should give it: walls stop it, it pushes light things,
-    and it slides where the floor is too steep.
+    No engine simulates rollers cheaply, and in Bullet a driven wheel that slides sideways slips far too much, the more the slower it rotates.
+    Such wheels therefore rotate without friction, and the base is driven at the velocity that they would produce: it stops at walls, pushes light
+    objects, and slides where the floor is too steep.
     """
 
     traction: float
@@ -57,7 +57,7 @@ class BaseServo(NamedTuple):
 
 
 class Response(NamedTuple):
-    """How a drive deviates from its commands, within its limits."""
+    """Deviation of a drive from its commands, within its limits."""
 
     delay: float = 0.0
     """Time from a command to its effect on the motors, s."""
@@ -68,7 +68,7 @@ class Response(NamedTuple):
 
 
 class Drive(ABC):
-    """The drive of one robot: targets of its motors, and its wheel odometry. Knows no engine."""
+    """The drive of one robot: targets of its motors, and its wheel odometry. Independent of the engine."""
 
     def __init__(
         self, wheels: Sequence[DriveJoint], wheel_torque: float,
@@ -96,30 +96,30 @@ class Drive(ABC):
         self._path = DeadReckoning()
 
     def targets(self, commanded: PlanarVelocity, dt: float) -> DriveTargets:
-        """Approaches the velocity that was commanded a delay ago, as far as the limits allow in ``dt`` seconds; returns the motor targets.
+        """Approaches the delayed commanded velocity within the limits for ``dt`` seconds; returns the motor targets.
 
         Args:
-            commanded: Velocity that is commanded now.
-            dt: Time since the last call, s, always the same.
+            commanded: Velocity commanded now, without delay.
+            dt: Time since the last call, s, constant.
         """
         return self._follow(self._delay.delayed(commanded, dt), dt)
 
     @property
     def base_velocity(self) -> PlanarVelocity:
-        """``velocity`` less its slip."""
+        """``velocity`` minus slip."""
         linear, lateral, angular = self.velocity
         return PlanarVelocity(linear * self._grip, lateral * self._grip, angular * self._turn_grip)
 
     @property
     def _rolled(self) -> PlanarVelocity:
-        """Velocity at which the wheels roll in the engine, where wheels that push the base do not slip: they turn less instead."""
+        """Velocity at which the wheels roll in the engine, where the wheels that drive the base do not slip, but rotate less."""
         return self.velocity if self.servo else self.base_velocity
 
     def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
-        """Returns the turns that the encoders of ``wheels`` measure, radians, with the slip that the wheels do not have in the engine.
+        """Returns the rotations that the encoders of ``wheels`` measure, radians, including slip, which the wheels do not have in the engine.
 
         Args:
-            increments: Turn of each wheel in the engine, radians, forward positive.
+            increments: Rotation of each wheel in the engine, radians, forward positive.
         """
         return increments
 
@@ -129,32 +129,32 @@ class Drive(ABC):
 
     @abstractmethod
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
-        """Returns the motion of the base by the wheels: forward and to the left (metres, along an arc), rotation (radians).
+        """Returns the motion of the base computed from the wheels: forward and left (metres, along an arc), rotation (radians).
 
         Args:
-            increments: Turn of each of ``wheels``, radians, forward positive.
+            increments: Rotation of each of ``wheels``, radians, forward positive.
             angles: Angle of each of ``steering``, radians, positive to the left.
         """
 
     def advance(self, forward: float, left: float, turn: float, dt: float) -> None:
-        """Adds a motion, as ``travel`` returns it, to the odometry; it took ``dt`` seconds, above 0."""
+        """Adds a motion, as returned by ``travel``, to the odometry; ``dt``: its duration, s, above 0."""
         self._path.add(forward, left, turn, dt)
 
     @property
     def odometry(self) -> Odometry:
-        """Pose and velocity of the base by the wheels; slip makes them wrong, as on a real robot."""
+        """Pose and velocity of the base computed from the wheels; with errors due to slip, as on a real robot."""
         return self._path.odometry
 
 
 class CommandDelay:
-    """Delays commanded velocities; the first ones that it returns are zero."""
+    """Delays commanded velocities; the initial output is zero."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self._waiting: deque[PlanarVelocity] = deque()
 
     def delayed(self, commanded: PlanarVelocity, dt: float) -> PlanarVelocity:
-        """Stores the velocity of this step, of ``dt`` seconds, and returns the one of the delay before, in whole steps."""
+        """Stores the velocity of this step, of ``dt`` seconds, and returns the delayed one, in whole steps."""
         steps = round(self._seconds / dt)
         if steps < 1:
             return commanded
@@ -163,7 +163,7 @@ class CommandDelay:
 
 
 class DeadReckoning:
-    """Integrates small arcs in the plane, each exactly."""
+    """Integrates small planar arcs exactly."""
 
     def __init__(self) -> None:
         self._x = self._y = self._yaw = 0.0
@@ -179,7 +179,7 @@ class DeadReckoning:
             dt: Duration, s, above 0.
         """
         half = turn / 2
-        # The chord of an arc; the series keeps full precision where sin(x)/x would be 0/0.
+        # Chord of an arc; the series has full precision where sin(x)/x is 0/0.
         shrink = math.sin(half) / half if abs(half) > 1e-4 else 1.0 - half * half / 6.0
         ahead, aside = forward * shrink, left * shrink
         cos, sin = math.cos(self._yaw + half), math.sin(self._yaw + half)
@@ -204,7 +204,7 @@ def active_command(command: VelocityCommand | None, now_ns: int, timeout_ns: int
 
 def limit_velocity_change(current: float, goal: float, limit: float, change: float) -> float:
     """Returns ``goal`` clipped to +-``limit``, at most ``change`` away from ``current``."""
-    # Comparisons, not min() and max(), which take twice as long: this runs at every step.
+    # Comparisons, since min() and max() take twice the time, and this runs at every step.
     target = -limit if goal < -limit else limit if goal > limit else goal
     lowest, highest = current - change, current + change
     return lowest if target < lowest else highest if target > highest else target

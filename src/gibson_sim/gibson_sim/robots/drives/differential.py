@@ -1,6 +1,6 @@
-"""Kinematics of wheels on the left and on the right: differential drive and skid steer. Pure arithmetic, SI units.
+"""Kinematics of differential drive and skid steer. Pure arithmetic, SI units.
 
-Wheel speeds are positive if the wheel rolls forward, whatever the sign of its joint's axis in the URDF.
+Wheel speeds are positive if the wheel rolls forward, regardless of the sign of the joint axis in the URDF.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def limit_velocity(current: PlanarVelocity, commanded: PlanarVelocity, limits: D
     """Returns the velocity to command next: towards ``commanded`` from ``current``, within the drive's speeds and accelerations.
 
     Args:
-        current: Velocity commanded in the step before.
+        current: Velocity commanded in the previous step.
         commanded: Commanded velocity; its ``lateral`` is ignored, since these wheels do not roll sideways.
         limits: Speeds and accelerations.
         dt: Time between the two, s.
@@ -48,7 +48,7 @@ def limit_velocity(current: PlanarVelocity, commanded: PlanarVelocity, limits: D
 
 
 class DifferentialDrive(Drive):
-    """The wheels are in the order left, right, left, right ...; those of one side turn alike, and odometry uses their mean."""
+    """Differential drive or skid steer. Wheels are ordered left, right, left, ...; odometry uses the mean of each side."""
 
     def __init__(self, spec: DifferentialSpec) -> None:
         ones = (1.0,) * len(spec.left_joints)
@@ -67,14 +67,14 @@ class DifferentialDrive(Drive):
         return DriveTargets((left, right) * len(self._spec.left_joints))
 
     def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
-        """Returns the turns that the encoders measure: the mean of both sides without ``slip``, their difference without ``turn_slip``."""
+        """Returns the rotations that the encoders measure: the mean of both sides corrected for ``slip``, their difference for ``turn_slip``."""
         if self.servo or self._grip == self._turn_grip == 1.0:
             return increments
-        seen: list[float] = []
+        measured: list[float] = []
         for left, right in zip(increments[::2], increments[1::2], strict=True):
             mean, half = (left + right) / 2 / self._grip, (right - left) / 2 / self._turn_grip
-            seen += (mean - half, mean + half)
-        return seen
+            measured += (mean - half, mean + half)
+        return measured
 
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
         """Returns the motion of the base by the wheels: forward, left (m), rotation (rad)."""

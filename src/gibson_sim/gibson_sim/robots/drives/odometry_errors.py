@@ -1,16 +1,16 @@
-"""Covariances of the pose and the twist of wheel odometry, from the errors that a robot's file gives. Pure.
+"""Covariances of the pose and the twist of wheel odometry, computed from the errors in a robot's file. Pure.
 
 The error of the pose is propagated as in Siegwart, Nourbakhsh and Scaramuzza, "Introduction to Autonomous Mobile Robots" (2011), 5.2.4:
-an error of the yaw displaces all later motion. The effect of each cause is propagated by itself, not one matrix, since the causes are not white
-noise:
+an error of the yaw displaces all later motion. The effect of each error source is propagated separately, not in one matrix, since the errors are
+not white noise:
 
 - Wrong radii, a wrong separation and a constant slip last for the whole run. Their effects grow with the distance, not with its square root.
-- Random slip is constant over 1 m or 1 rad (``wheel_odometry``), then a new one is drawn. Within such a stretch its effect grows like
-  that of a constant; the effects of finished stretches add up as independent ones, in a matrix: the alphas of Thrun, Burgard and Fox,
+- Random slip is constant over 1 m or 1 rad (``wheel_odometry``), then it is sampled again. Within such a segment its effect grows like
+  that of a constant; the effects of completed segments are summed as independent errors, in a matrix: the alphas of Thrun, Burgard and Fox,
   "Probabilistic Robotics" (2005), 5.4.
-- Encoders lag by less than a tick, however far the robot drives.
+- Encoders lag by less than a tick, regardless of the distance.
 
-A robot does not know the sign of its systematic errors, so each is a random number with mean 0 and its size as the standard deviation.
+A robot does not know the sign of its systematic errors, so each is modelled as a random number with mean 0 and its size as standard deviation.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ Matrix3 = tuple[float, float, float, float, float, float, float, float, float]
 _NONE: Planar = (0.0, 0.0, 0.0)
 
 _LEAST_POSE = 1e-6
-"""Minimum variance of the pose, m^2 and rad^2: a robot settles on its wheels by less than 1 mm and 1 mrad. Filters divide by variances."""
+"""Minimum variance of the pose, m^2 and rad^2, since filters divide by variances: a robot settles on its wheels by less than 1 mm and 1 mrad."""
 _LEAST_SPEED = 1e-6
 """Minimum variance of the forward speed, (m/s)^2."""
 _LEAST_SIDEWAYS = 1e-5
-"""Minimum variance of the speed across the wheels, (m/s)^2: contacts in the engine yield, and heavy robots that skid are pushed by some mm/s."""
+"""Minimum variance of the lateral speed, (m/s)^2: contacts in the engine are compliant, and heavy skidding robots move by some mm/s."""
 _LEAST_YAW_RATE = 1e-6
 """Minimum variance of the yaw rate, (rad/s)^2."""
 _ROLLING = 0.002
-"""Fraction of the motion by which wheels roll wrongly in the engine, whose contacts yield a little."""
+"""Relative rolling error of wheels in the engine, whose contacts are slightly compliant."""
 _PIECE_M, _PIECE_RAD = 0.01, 0.02
-"""Translation (m) and rotation (rad) after which a motion is propagated: within them, the path is nearly straight."""
+"""Translation (m) and rotation (rad) after which a motion is propagated; shorter paths are nearly straight."""
 _STEERED = 0.0015
 """Unmeasured rotation of a base with steered wheels, rad per square root of a metre: they slide a little while their angle changes."""
 
@@ -53,7 +53,7 @@ class OdometryCovariance(NamedTuple):
 
 
 class _Motion(NamedTuple):
-    """A motion of the base as the wheels measure it, or its rates."""
+    """A motion of the base as measured by the wheels, or its rates."""
 
     forward: float = 0.0
     left: float = 0.0
@@ -65,7 +65,7 @@ class _Motion(NamedTuple):
     angle: float = 0.0
     """Absolute rotation, rad."""
     turning: tuple[float, float] = (0.0, 0.0)
-    """``angle`` along the direction of the translation, forward if the base turns in place."""
+    """``angle`` times the direction of the translation; forward if the base turns in place."""
 
     def plus(self, other: _Motion) -> _Motion:
         (a, b, c), (p, q, r) = self.by_left_wheels, other.by_left_wheels
@@ -84,9 +84,9 @@ class _Motion(NamedTuple):
 
 
 class OdometryErrors:
-    """The covariances of one robot's odometry since its last reset.
+    """Covariances of one robot's odometry since its last reset.
 
-    They depend only on what the wheels measured: reading them changes nothing.
+    They depend only on the measured motion; reading them has no effect on the state.
     """
 
     def __init__(
@@ -103,9 +103,9 @@ class OdometryErrors:
         Args:
             spec: Errors of the odometry.
             slip: Fraction of the distance that the wheels roll and the base does not move.
-            turn_slip: The same for rotation.
-            ticks: For each wheel, the motion of the base (forward m, left m, rotation rad) for one tick of its encoder; () = no encoders.
-            steered: Whether wheels are steered.
+            turn_slip: Fraction of the rotation that the wheels roll and the base does not make.
+            ticks: For each wheel, the motion of the base (forward m, left m, rotation rad) per encoder tick; () = no encoders.
+            steered: Whether the robot has steered wheels.
         """
         self._radii = spec.left_radius_factor - 1.0, spec.right_radius_factor - 1.0
         self._scale, self._turn_scale = math.hypot(slip, _ROLLING), math.hypot(spec.separation_factor - 1.0, turn_slip, _ROLLING)
@@ -115,19 +115,19 @@ class OdometryErrors:
         self.reset()
 
     def reset(self) -> None:
-        """Starts again with an exact pose."""
+        """Restarts with an exact pose."""
         self._yaw = 0.0
         self._lasting = [_NONE] * 4
-        """Effects on the pose of the errors that last, one standard deviation each."""
+        """Effects of the persistent errors on the pose, one standard deviation each."""
         self._by_distance, self._by_angle = [_NONE] * 2, [_NONE] * 2
         self._finished: tuple[float, ...] = (0.0,) * 6
-        """Covariance by finished stretches of slip: xx, xy, x yaw, yy, y yaw, yaw yaw."""
+        """Covariance of completed slip segments: xx, xy, x yaw, yy, y yaw, yaw yaw."""
         self._distance_left = self._angle_left = 1.0
         self._pending, self._last = _Motion(), _Motion()
         self._dt, self._still = 1.0, 0.0
 
     def add(self, forward: float, left: float, turn: float, by_left_wheels: Planar, dt: float) -> None:
-        """Adds a small motion, as odometry measures it.
+        """Adds a small motion, as measured by odometry.
 
         Args:
             forward: Motion along the base's x axis, metres.
@@ -149,7 +149,7 @@ class OdometryErrors:
             self._propagate()
 
     def covariance(self) -> OdometryCovariance:
-        """Returns the covariances of pose and twist now."""
+        """Returns the current covariances of pose and twist."""
         return OdometryCovariance(self._pose(), self._twist())
 
     def _propagate(self) -> None:
@@ -167,7 +167,7 @@ class OdometryErrors:
         self._pending = _Motion()
 
     def _moved(self, motion: _Motion) -> tuple[list[Planar], list[Planar], list[Planar], tuple[float, ...]]:
-        """Returns the effects of all causes on the pose after one more motion."""
+        """Returns the effects of all error sources on the pose after another motion."""
         half = self._yaw + motion.turn / 2
         cos, sin = math.cos(half), math.sin(half)
         dx, dy = motion.forward * cos - motion.left * sin, motion.forward * sin + motion.left * cos
@@ -192,7 +192,7 @@ class OdometryErrors:
         )
 
     def _causes(self, motion: _Motion) -> tuple[list[Planar], list[Planar], list[Planar]]:
-        """Returns one standard deviation of each error of a motion: errors that last, slip by distance, slip by angle."""
+        """Returns one standard deviation of each error of a motion: persistent errors, slip by distance, slip by angle."""
         forward, left, turn = motion.forward, motion.left, motion.turn
         (a, b, c), (on_left, on_right) = motion.by_left_wheels, self._radii
         turn_by_angle, turn_by_distance, slip_by_distance, slip_by_angle = self._slip
@@ -223,7 +223,7 @@ class OdometryErrors:
 
     def _twist(self) -> Matrix3:
         causes = self._causes(self._last.over(self._dt))
-        # The difference of two lags, each uniform over a tick, has a variance of 1/6. Wheels without a tick for a while are slower.
+        # The difference of two lags, each uniform over a tick, has a variance of 1/6. Wheels without recent ticks are slower.
         tick = 1.0 / self._dt / math.sqrt(6.0) if self._still == 0.0 else 1.0 / max(self._still, self._dt) / math.sqrt(3.0)
         lag = [(x * tick, y * tick, turn * tick) for x, y, turn in self._ticks]
         xx, xy, xt, yy, yt, tt = _plus_effects((0.0,) * 6, [cause for some in causes for cause in some] + lag)

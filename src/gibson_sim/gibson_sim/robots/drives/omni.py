@@ -1,4 +1,4 @@
-"""Kinematics of wheels with rollers: mecanum and omni wheels, any number, anywhere. Pure arithmetic, SI units."""
+"""Kinematics of mecanum and omni wheels, in any number and arrangement. Pure arithmetic, SI units."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gibson_sim.robots.drives.base import (
 
 
 class OmniDrive(Drive):
-    """Moves the base in every direction; odometry is the least-squares fit to all wheels."""
+    """Omnidirectional drive; odometry is the least-squares fit to all wheels."""
 
     def __init__(self, spec: OmniSpec) -> None:
         reach = sum(math.hypot(*wheel.position) for wheel in spec.wheels) / len(spec.wheels)
@@ -51,6 +51,6 @@ class OmniDrive(Drive):
         return tuple(a * x + b * y + c * yaw for a, b, c in self._wheels_from_body)
 
     def body_velocity(self, speeds: Sequence[float]) -> PlanarVelocity:
-        """Returns the base's velocity for joint speeds, rad/s: with more than three wheels the least-squares fit."""
+        """Returns the base velocity for joint speeds, rad/s: the least-squares fit for more than three wheels."""
         x, y, yaw = (sum(a * b for a, b in zip(row, speeds, strict=True)) for row in self._body_from_wheels)
         return PlanarVelocity(x, y, yaw)

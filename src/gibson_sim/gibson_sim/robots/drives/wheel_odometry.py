@@ -1,6 +1,6 @@
-"""Wheel odometry of one robot: dead reckoning from what its encoders count, with errors, and its covariance. Pure.
+"""Wheel odometry of one robot: dead reckoning from encoder counts, with errors, and its covariance. Pure.
 
-``OdometryNoise`` has the errors (encoder ticks, wrong radii and separation, random slip); ``odometry_errors`` the covariance that follows from them.
+``OdometryNoise`` models the errors (encoder ticks, wrong radii and separation, random slip); ``odometry_errors`` computes the covariance.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gibson_sim.types import Odometry
 
 
 class WheelOdometry:
-    """Dead reckoning from the turns of a drive's wheels, with the errors of its robot."""
+    """Dead reckoning from the wheel rotations of a drive, with odometry errors."""
 
     def __init__(self, drive: Drive, spec: WheelOdometrySpec, name: str, seed: int = 0) -> None:
         """Starts at the origin of the odom frame.
@@ -52,9 +52,9 @@ class WheelOdometry:
         """Adds one step.
 
         Args:
-            increments: Turn of each of the drive's wheels, radians, forward positive.
+            increments: Rotation of each of the drive's wheels, radians, forward positive.
             steering: Angle of each of its steering joints, radians, positive to the left.
-            stamp_ns: Time that determines the noise.
+            stamp_ns: Time, ns, which determines the noise.
             dt: Length of the step, s, above 0.
         """
         drive, noise = self._drive, self._noise
@@ -72,14 +72,14 @@ class WheelOdometry:
 
 
 class OdometryNoise:
-    """The errors of one robot's odometry; the seeds, the robot's name and the stamp determine its slip."""
+    """Errors of one robot's odometry; slip is determined by the seeds, the robot's name and the stamp."""
 
     def __init__(self, spec: WheelOdometrySpec, name: str, seed: int = 0, left: Sequence[bool] = (True, False)) -> None:
         """Starts with all encoders at 0.
 
         Args:
             spec: The errors.
-            name: Name of the robot, so that two of a kind slip differently.
+            name: Name of the robot, so that equal robots slip differently.
             seed: Seed of the simulation.
             left: For each wheel, in the order of ``increments``, whether it is on the robot's left.
         """
@@ -94,17 +94,17 @@ class OdometryNoise:
         self.reset()
 
     def reset(self) -> None:
-        """Sets all encoders to 0, and forgets the slip."""
+        """Sets all encoders to 0, and resets the slip."""
         self._angles = [0.0] * len(self._factors)
         self._ticks = [0] * len(self._factors)
         self._by_distance.reset()
         self._by_angle.reset()
 
     def wheels(self, increments: Sequence[float]) -> tuple[float, ...]:
-        """Returns the turns of the wheels, radians, as counted by their encoders and scaled by wrong radii.
+        """Returns the rotations of the wheels, radians, quantised by their encoders and scaled by wrong radii.
 
         Args:
-            increments: Turn of each wheel's joint since the last call, radians.
+            increments: Rotation of each wheel joint since the last call, radians.
         """
         ticks = self._spec.encoder_ticks
         if not ticks:
@@ -120,12 +120,12 @@ class OdometryNoise:
     def motion(self, stamp_ns: int, forward: float, left: float, turn: float) -> tuple[float, float, float]:
         """Returns a motion of the base (forward m, left m, rotation rad) with its slip and the error of a wrong separation.
 
-        An error is a constant fraction of the motion for 1 m or 1 rad; then a new one is drawn.
+        An error is a constant fraction of the motion for 1 m or 1 rad; then it is sampled again.
 
         Args:
-            stamp_ns: Time at the end of the step; it determines a new error.
-            forward: Metres, far less than 1.
-            left: Metres, far less than 1.
+            stamp_ns: Time at the end of the step, ns, which determines a new error.
+            forward: Forward motion, metres, much less than 1.
+            left: Motion to the left, metres, much less than 1.
             turn: Rotation, radians, counter-clockwise, far less than 1.
         """
         turn /= self._spec.separation_factor
@@ -135,7 +135,7 @@ class OdometryNoise:
         turn_by_distance, slip_by_distance = self._by_distance.advance(stamp_ns, distance)
         turn_by_angle, slip_by_angle = self._by_angle.advance(stamp_ns, angle)
         slip = slip_by_distance * distance + slip_by_angle * angle
-        # Along the motion; forward if the base turns in place.
+        # In the direction of motion; forward if the base turns in place.
         x, y = (forward / distance, left / distance) if distance > 0.0 else (1.0, 0.0)
         return forward + slip * x, left + slip * y, turn + turn_by_distance * distance + turn_by_angle * angle
 

@@ -1,6 +1,6 @@
-"""Joint commands for arms, grippers and lifts: pure values, checked when they are made. Radians or metres, and per second.
+"""Joint commands for arms, grippers and lifts: pure values, validated at construction. Radians or metres, and per second.
 
-``robots.joints.control`` checks them against the limits of a robot.
+``robots.joints.control`` validates them against the limits of a robot.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class JointPositions:
-    """Moves joints to positions as fast as their limits allow, and holds them there."""
+    """Moves joints to positions as fast as their limits allow, and holds the positions."""
 
     positions: Numbers
     names: tuple[str, ...] = ()
-    """One for each number; empty = all joints that obey commands, in the order of the URDF."""
+    """Joint names, one for each number; empty = all joints that accept commands, in the order of the URDF."""
     efforts: Numbers = ()
-    """Effort limit of each motor, on the way and at the goal, N m or N; 0, or empty = that of the joint."""
+    """Effort limit of each motor, during the motion and at the goal, N m or N; 0, or empty = that of the joint."""
 
     def __post_init__(self) -> None:
         _check_row("joint positions", self.names, self.positions)
@@ -37,11 +37,11 @@ class JointPositions:
 
 @dataclass(frozen=True, slots=True)
 class JointVelocities:
-    """Moves joints at velocities until the next command or a position limit; 0 = stay where they are."""
+    """Moves joints at velocities until the next command or a position limit; 0 = hold the position."""
 
     velocities: Numbers
     names: tuple[str, ...] = ()
-    """One for each number; empty = all joints that obey commands, in the order of the URDF."""
+    """Joint names, one for each number; empty = all joints that accept commands, in the order of the URDF."""
 
     def __post_init__(self) -> None:
         _check_row("joint velocities", self.names, self.velocities)
@@ -49,12 +49,12 @@ class JointVelocities:
 
 @dataclass(frozen=True, slots=True)
 class JointEfforts:
-    """Applies efforts until the next command, within the limits of velocity and position; 0 = let the joint swing freely."""
+    """Applies efforts until the next command, within the limits of velocity and position; 0 = the joint moves freely."""
 
     efforts: Numbers
-    """N m or N."""
+    """Efforts, N m or N."""
     names: tuple[str, ...] = ()
-    """One for each number; empty = all joints that obey commands, in the order of the URDF."""
+    """Joint names, one for each number; empty = all joints that accept commands, in the order of the URDF."""
 
     def __post_init__(self) -> None:
         _check_row("joint efforts", self.names, self.efforts)
@@ -62,22 +62,22 @@ class JointEfforts:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryPoint:
-    """The joints of a trajectory at one time, in the order of its names."""
+    """Joint states of a trajectory at one time, in the order of its names."""
 
     time_ns: int
-    """Nanoseconds from the start of the trajectory."""
+    """Time from the start of the trajectory, nanoseconds."""
     positions: Numbers
     velocities: Numbers = ()
-    """Empty = not given."""
+    """Velocities; empty = not given."""
     accelerations: Numbers = ()
-    """Empty = not given; they need velocities."""
+    """Accelerations; empty = not given; they require velocities."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointTrajectory:
-    """Moves joints through points (trajectory_msgs/JointTrajectory); without points, the named joints stop, or all if none is named.
+    """Moves joints through points (trajectory_msgs/JointTrajectory); without points, the named joints stop, without names all joints.
 
-    Between two points: a quintic if both have accelerations, a cubic if both have velocities, else a straight line.
+    Interpolation between two points: quintic if both have accelerations, cubic if both have velocities, else linear.
     """
 
     names: tuple[str, ...]

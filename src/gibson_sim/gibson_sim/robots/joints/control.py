@@ -1,6 +1,6 @@
-"""Joint control: from joint commands to the speed or the position that each motor holds in a step. Pure.
+"""Joint control: computes the target speed or position of each motor in a step from joint commands. Pure.
 
-The speed is that of a setpoint within the limits, plus a correction proportional to the distance of the joint from it.
+The speed is that of a setpoint within the limits, plus a correction proportional to the position error.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from gibson_sim.types import NS_PER_S
 DEFAULT_SPEED = 1.0
 """Speed at which a joint without a velocity limit moves to a position, rad/s or m/s."""
 _GAIN_PER_S = 50.0
-"""Speed per radian (metre) of distance from the setpoint, 1/s: a lag vanishes within 0.1 s."""
+"""Position gain, speed per distance from the setpoint, 1/s: a lag vanishes within 0.1 s."""
 _LEAD_S = 0.1
-"""Maximum time that a setpoint is ahead of a joint that something holds back, s."""
+"""Maximum time by which the setpoint leads a blocked joint, s."""
 _UNLIMITED_SPEED = 100.0
 """Maximum speed under an effort command of a joint without a velocity limit, rad/s or m/s."""
 ARRIVED = 1e-3
-"""Distance from the goal at which a motion is over, radians or metres."""
+"""Distance from the goal at which a motion ends, radians or metres."""
 _ROUNDING = 1e-6
-"""Excess over a limit that commands may have, radians or metres, and per second: planners round."""
+"""Tolerated excess of commands over a limit, radians or metres, and per second, for rounding errors of planners."""
 _FASTER = 1.01
-"""Factor on the velocity limit for the mean velocity between two points of a trajectory, for the same reason."""
+"""Factor on the velocity limit for the mean velocity between two points of a trajectory, for rounding errors of planners."""
 
 
 class JointTargets(NamedTuple):
-    """Targets of the motors until the next step; joints without one keep their last."""
+    """Targets of the motors until the next step; joints without a target keep their previous one."""
 
     speeds: dict[str, float]
     """Speeds to hold, rad/s or m/s."""
@@ -50,21 +50,21 @@ class _Motion(Protocol):
     """Effort limit of its motor, N m or N; None = that of the joint."""
 
     def speed(self, position: float, now_ns: int, step_ns: int) -> float:
-        """Returns the speed for the step that begins at ``now_ns``, the joint being at ``position``."""
+        """Returns the speed for the step that begins at ``now_ns`` with the joint at ``position``."""
 
     def end(self, position: float, now_ns: int) -> float | None:
         """Returns the position to hold if the motion is over, else None."""
 
 
 class JointControl:
-    """The joints of one robot that obey commands."""
+    """Controls the joints of one robot that accept commands."""
 
     def __init__(self, joints: Sequence[UrdfJoint], others: Sequence[str] = ()) -> None:
         """Starts without commands.
 
         Args:
-            joints: Joints that obey commands, in the order of the URDF.
-            others: Joints that something else commands (the wheels of the drive), for error messages.
+            joints: Joints that accept commands, in the order of the URDF.
+            others: Joints that are controlled otherwise (the wheels of the drive), for error messages.
         """
         self._joints = {joint.name: joint for joint in joints}
         self._others = tuple(others)
@@ -72,27 +72,27 @@ class JointControl:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The joints that obey commands, in the order of the URDF."""
+        """Names of the joints that accept commands, in the order of the URDF."""
         return tuple(self._joints)
 
     @property
     def active(self) -> tuple[str, ...]:
-        """The joints whose targets may change in the next step."""
+        """Names of the joints whose targets may change in the next step."""
         return tuple(self._motions)
 
     def command(
         self, command: JointCommand, now_ns: int, positions: Mapping[str, float], velocities: Mapping[str, float]
     ) -> None:
-        """Replaces the motions of the joints that the command names, from their present state.
+        """Replaces the motions of the joints in a command, starting from their current state.
 
         Args:
-            command: The command; a trajectory without points stops the joints that it names, or, without names, all.
-            now_ns: Simulation time.
-            positions: Present positions of all ``names``.
-            velocities: Present velocities of all ``names``.
+            command: The command; a trajectory without points stops its joints, without names all joints.
+            now_ns: Simulation time, ns.
+            positions: Current positions of all ``names``.
+            velocities: Current velocities of all ``names``.
 
         Raises:
-            CommandError: a joint is unknown, a value exceeds a limit, or the trajectory is over; nothing has changed then.
+            CommandError: a joint is unknown, a value exceeds a limit, or the trajectory has already ended; the state is unchanged.
         """
         if isinstance(command, JointTrajectory):
             new = self._trajectory(command, now_ns, positions, velocities)
@@ -116,7 +116,7 @@ class JointControl:
         self._motions.update(new)
 
     def step(self, now_ns: int, step_ns: int, positions: Mapping[str, float]) -> JointTargets:
-        """Returns the targets that change for the step that begins at ``now_ns`` and lasts ``step_ns``; ``positions`` has all ``active``."""
+        """Returns the changed targets for the step from ``now_ns`` of length ``step_ns``; ``positions``: of all ``active`` joints."""
         speeds, held, efforts = {}, {}, {}
         for name, motion in list(self._motions.items()):
             end = motion.end(positions[name], now_ns)
@@ -132,7 +132,7 @@ class JointControl:
         return JointTargets(speeds, held, efforts)
 
     def setpoint(self, name: str, now_ns: int) -> float | None:
-        """Returns the setpoint of a joint by its trajectory, radians or metres; None = it follows none (any more)."""
+        """Returns the setpoint of a joint on its trajectory, radians or metres; None = no trajectory, or it has ended."""
         motion = self._motions.get(name)
         return motion.setpoint(now_ns) if isinstance(motion, _AlongTrajectory) else None
 
@@ -140,7 +140,7 @@ class JointControl:
         names = names or self.names
         if len(row) != len(names):
             raise CommandError(
-                f"joint command has {len(row)} {what}, the robot has {len(names)} joints that obey: {', '.join(names) or 'none'}"
+                f"joint command has {len(row)} {what}, the robot has {len(names)} joints that accept commands: {', '.join(names) or 'none'}"
             )
         return [(self._joint(name), value) for name, value in zip(names, row, strict=True)]
 
@@ -148,7 +148,7 @@ class JointControl:
         if name in self._others:
             raise CommandError(f"joint {quoted(name)} belongs to the drive; send a velocity (cmd_vel) instead")
         if name not in self._joints:
-            raise CommandError(f"no joint {quoted(name)} that obeys commands; known: {', '.join(self._joints) or 'none'}")
+            raise CommandError(f"no joint {quoted(name)} that accepts commands; known: {', '.join(self._joints) or 'none'}")
         return self._joints[name]
 
     def _trajectory(
@@ -192,7 +192,7 @@ class _Hold:
 
 
 class _AtVelocity:
-    """Moves at a velocity until a position limit, and stays there."""
+    """Moves at a velocity until a position limit, and holds that position."""
 
     effort: float | None = None
 
@@ -210,7 +210,7 @@ class _AtVelocity:
 
 
 class _AtEffort(_AtVelocity):
-    """Applies an effort: the motor has the greatest speed as its target, and the effort as its limit."""
+    """Applies an effort: the target of the motor is the maximum speed, with the effort as limit."""
 
     def __init__(self, joint: UrdfJoint, effort: float) -> None:
         super().__init__(joint, math.copysign(joint.velocity or _UNLIMITED_SPEED, effort))
@@ -218,7 +218,7 @@ class _AtEffort(_AtVelocity):
 
 
 class _ToPosition:
-    """Moves to a position at the greatest speed."""
+    """Moves to a position at maximum speed."""
 
     def __init__(self, joint: UrdfJoint, goal: float, position: float, effort: float | None = None) -> None:
         self._fastest, self._goal, self._setpoint = joint.velocity or DEFAULT_SPEED, goal, position
@@ -265,7 +265,7 @@ class _AlongTrajectory:
         return last.position if now_ns >= last.time_ns and abs(position - last.position) < ARRIVED else None
 
     def setpoint(self, time_ns: int) -> float:
-        """Returns the setpoint at a time, within the limits also between two knots."""
+        """Returns the setpoint at a time, clamped to the limits, also between two knots."""
         if time_ns <= self._knots[0].time_ns:
             return self._knots[0].position
         if time_ns >= self._knots[-1].time_ns:
@@ -282,9 +282,9 @@ class _AlongTrajectory:
 
 
 def _path(joint: UrdfJoint, knots: list[_Knot], first_ns: int, position: float, velocity: float) -> _AlongTrajectory:
-    """Returns the motion through the knots after ``first_ns``, from the state of the joint at that time."""
+    """Returns the motion through the knots after ``first_ns``, starting from the state of the joint at that time."""
     ahead = [knot for knot in knots if knot.time_ns > first_ns]
-    # Planners repeat the present state as their first point, and only they know its acceleration.
+    # Planners repeat the current state as the first point, and only they know its acceleration.
     acceleration = next((knot.acceleration for knot in knots if knot.time_ns == first_ns), None)
     all_knots = [_Knot(first_ns, position, velocity, acceleration or 0.0), *ahead]
     for a, b in pairwise(all_knots):
@@ -298,7 +298,7 @@ def _path(joint: UrdfJoint, knots: list[_Knot], first_ns: int, position: float, 
 
 
 def _polynomial(a: _Knot, b: _Knot) -> tuple[float, ...]:
-    """Returns the coefficients of a polynomial of seconds since ``a``, constant first: quintic, cubic or linear, by what both ends have."""
+    """Returns the coefficients of a polynomial of seconds since ``a``, constant first: quintic, cubic or linear, by the data of both ends."""
     t, change = (b.time_ns - a.time_ns) / NS_PER_S, b.position - a.position
     if a.velocity is None or b.velocity is None:
         return a.position, change / t
@@ -320,9 +320,9 @@ def servo_speed(now: float, then: float, position: float, step_ns: int, fastest:
     """Returns the motor speed of a joint at ``position`` while its setpoint moves from ``now`` to ``then``.
 
     Args:
-        now: Set point at the beginning of the step.
-        then: Set point at its end.
-        position: Position of the joint at its beginning.
+        now: Setpoint at the beginning of the step.
+        then: Setpoint at the end of the step.
+        position: Position of the joint at the beginning of the step.
         step_ns: Length of the step, ns.
         fastest: Speed limit, above 0.
     """

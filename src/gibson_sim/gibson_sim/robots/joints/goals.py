@@ -1,6 +1,6 @@
-"""When the goal of an arm or a gripper is reached or missed: the rules of ros2_controllers' joint_trajectory_controller and gripper controllers.
+"""Determines whether the goal of an arm or a gripper is reached or missed, as ros2_controllers' joint_trajectory_controller and gripper controllers.
 
-Pure: positions and times go in, an outcome comes out. ``ros/topics/arm_actions.py`` has the actions.
+Pure: computes an outcome from positions and times. ``ros/topics/arm_actions.py`` implements the actions.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from gibson_sim.types import NS_PER_S
 GOAL_TOLERANCE = 0.01
 """Default tolerance of a joint at the end of its trajectory, radians or metres."""
 GOAL_TIME = 2.0
-"""Default time that a trajectory may be late, s."""
+"""Default maximum delay after the end of a trajectory, s."""
 STALL_SPEED = 1e-3
-"""Speed of a finger below which it counts as blocked, rad/s or m/s."""
+"""Speed below which a finger counts as blocked, rad/s or m/s."""
 STALL_TIME_NS = NS_PER_S // 5
-"""Time that fingers must be blocked for a gripper to count as stalled, usually by what it holds, simulation time, ns."""
+"""Time for which fingers must be blocked for a gripper to count as stalled, usually by the grasped object, simulation time, ns."""
 
 
 class TrajectoryCode(IntEnum):
-    """How a trajectory ended: error codes of control_msgs/FollowJointTrajectory."""
+    """Result of a trajectory: error codes of control_msgs/FollowJointTrajectory."""
 
     SUCCESSFUL = 0
     INVALID_GOAL = -1
@@ -40,9 +40,9 @@ class Tolerance:
     """Tolerances of one joint; 0 = the default, below 0 = unlimited."""
 
     position: float = 0.0
-    """Radians or metres."""
+    """Position tolerance, radians or metres."""
     velocity: float = 0.0
-    """rad/s or m/s."""
+    """Velocity tolerance, rad/s or m/s."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.position) and math.isfinite(self.velocity)):
@@ -59,7 +59,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryGoal:
-    """The goal of a trajectory: its end, and tolerances."""
+    """The goal of a trajectory: its end state and tolerances."""
 
     names: tuple[str, ...]
     end: tuple[float, ...]
@@ -67,14 +67,14 @@ class TrajectoryGoal:
     end_ns: int
     """Simulation time of the end."""
     path: Mapping[str, Tolerance] = field(default_factory=dict)
-    """Tolerances on the way; unlimited by default."""
+    """Joint -> tolerance during the motion; unlimited by default."""
     goal: Mapping[str, Tolerance] = field(default_factory=dict)
-    """Tolerances at the end."""
+    """Joint -> tolerance at the end."""
     goal_time: float = 0.0
-    """Time that it may be late, s; 0 = the default."""
+    """Maximum delay after the end of the trajectory, s; 0 = the default."""
 
     def check(self, known: Sequence[str]) -> None:
-        """Raises CommandError if the trajectory does not move the joint of a tolerance, or a joint is not one of ``known``."""
+        """Raises CommandError if a tolerance is given for a joint that the trajectory does not move, or a joint is not in ``known``."""
         for name in (*self.path, *self.goal):
             if name not in self.names:
                 raise CommandError(
@@ -82,18 +82,18 @@ class TrajectoryGoal:
                 )
         for name in self.names:
             if name not in known:
-                raise CommandError(f"joint {quoted(name)} is none of this controller's: {', '.join(known)}")
+                raise CommandError(f"joint {quoted(name)} does not belong to this controller: {', '.join(known)}")
 
     def outcome(
         self, now_ns: int, desired: Mapping[str, float], positions: Mapping[str, float], velocities: Mapping[str, float]
     ) -> Ended | None:
-        """Returns how the goal ended, or None while it goes on.
+        """Returns the result of the goal, or None while it is active.
 
         Args:
-            now_ns: Simulation time.
-            desired: Present setpoints of the trajectory; joints that are missing are at its end.
-            positions: Present positions of all joints of the goal.
-            velocities: Their velocities.
+            now_ns: Simulation time, ns.
+            desired: Current setpoints of the trajectory; missing joints are at its end.
+            positions: Current positions of all joints of the goal.
+            velocities: Current velocities of all joints of the goal.
         """
         if now_ns < self.end_ns:
             for name, tolerance in self.path.items():
@@ -111,7 +111,7 @@ class TrajectoryGoal:
         return None
 
     def _missed(self, positions: Mapping[str, float], velocities: Mapping[str, float]) -> str:
-        """Returns which tolerance at the end is not met, in words; empty = all are."""
+        """Returns the violated tolerance at the end, as text; empty = all are met."""
         for name, end in zip(self.names, self.end, strict=True):
             tolerance = self.goal.get(name, Tolerance())
             allowed, error = tolerance.position or GOAL_TOLERANCE, abs(positions[name] - end)
@@ -127,16 +127,16 @@ class GripperOutcome:
     """State of the fingers."""
 
     position: float
-    """Mean of all fingers, radians or metres."""
+    """Mean position of all fingers, radians or metres."""
     effort: float
-    """Maximum of all fingers, N or N m."""
+    """Maximum effort of all fingers, N or N m."""
     stalled: bool
-    """Whether something blocks them."""
+    """Whether the fingers are blocked."""
     reached_goal: bool
 
     @property
     def is_over(self) -> bool:
-        """Whether the gripper is at its goal, or cannot get there."""
+        """Whether the gripper is at its goal, or stalled."""
         return self.stalled or self.reached_goal
 
 
@@ -144,13 +144,13 @@ class GripperGoal:
     """The goal of a gripper."""
 
     def __init__(self, joints: tuple[str, ...], position: float, now_ns: int) -> None:
-        """Begins at ``now_ns``; ``position`` is that of every finger, radians or metres."""
+        """Starts at ``now_ns``; ``position``: goal of every finger, radians or metres."""
         self._joints, self._position, self._moved_ns = joints, position, now_ns
 
     def outcome(
         self, now_ns: int, positions: Mapping[str, float], velocities: Mapping[str, float], efforts: Mapping[str, float]
     ) -> GripperOutcome:
-        """Returns the state of the fingers now; call it at every tick."""
+        """Returns the current state of the fingers; call it at every tick."""
         if any(abs(velocities[name]) > STALL_SPEED for name in self._joints):
             self._moved_ns = now_ns
         reached = all(abs(positions[name] - self._position) <= GOAL_TOLERANCE / 4 for name in self._joints)

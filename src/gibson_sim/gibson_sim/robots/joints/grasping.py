@@ -1,6 +1,6 @@
-"""The rules of grasping: when a gripper grasps, what, and when it releases it. Pure.
+"""The rules of grasping: when a gripper grasps an object, which object, and when it releases it. Pure.
 
-``PhysicsWorld.arms`` applies them, and ``docs/manipulation.md`` explains them.
+``PhysicsWorld.arms`` applies them, and ``docs/manipulation.md`` describes them.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ GraspMode = Literal["physical", "assisted", "sticky"]
 GRASP_MODES: tuple[GraspMode, ...] = ("physical", "assisted", "sticky")
 GripperMove = Literal["closes", "opens", "stays"]
 _SMALL_MOVE = 0.02
-"""Fraction of its range by which a command must move a gripper to count as closing or opening."""
+"""Minimum motion, as a fraction of the range of a gripper, of a command that closes or opens it."""
 _HANDLES = ("handle", "knob")
-"""Words in the names of links that are made to be grasped."""
+"""Words in the names of links that are handles."""
 
 
 @dataclass(frozen=True, slots=True)
 class GraspSettings:
-    """How grippers hold."""
+    """Settings of grippers for holding objects."""
 
     mode: GraspMode = "assisted"
-    """physical: friction alone. assisted: a ball joint to what is in reach. sticky: a rigid joint to what the gripper touches."""
+    """Grasp mode. physical: only friction. assisted: a ball joint to an object in reach. sticky: a rigid joint to an object that the
+    gripper touches."""
     distance: float = 0.2
     """assisted: greatest distance from the tool's origin to a surface, metres."""
     max_force: float = 500.0
@@ -55,46 +56,46 @@ class GraspSettings:
 
 @dataclass(frozen=True, slots=True)
 class GraspState:
-    """What a gripper holds."""
+    """State of a grasp."""
 
     arm: str
     mode: GraspMode
     holding: bool = False
     body: str = ""
-    """Name of the body or the other robot that is held."""
+    """Name of the held body or other robot."""
     link: str = ""
     force: float = 0.0
     """Load of the joint in the last step, N; physical: sum of the normal forces at all points of contact."""
     torque: float = 0.0
     """Torque on a rigid joint in the last step, N m."""
     reason: str = ""
-    """Why it holds nothing, or nothing any more; empty if it was not commanded to grasp, or is open."""
+    """Reason why it holds no object, or released it; empty if it was not commanded to grasp, or is open."""
 
 
 class Candidate(NamedTuple):
-    """A link that a gripper could grasp."""
+    """A link that a gripper can grasp."""
 
     body: str
     link: str
     distance: float
-    """Metres; the least is best."""
+    """Distance, metres; the smallest is best."""
 
 
 def is_handle(link: str) -> bool:
-    """Returns whether a link is a handle or a knob, by its name."""
+    """Returns whether the name of a link is that of a handle or a knob."""
     return any(word in link.lower() for word in _HANDLES)
 
 
 def best_candidate(candidates: Iterable[Candidate], within: float) -> Candidate | None:
-    """Returns what a gripper grasps: the nearest handle or knob within a distance, else the nearest link; None = nothing."""
+    """Returns the link that a gripper grasps: the nearest handle or knob within a distance, else the nearest link; None = none."""
     near = [candidate for candidate in candidates if candidate.distance < within]
     return min(near, key=lambda c: (not is_handle(c.link), c.distance, c.body, c.link), default=None)
 
 
 def gripper_move(gripper: GripperSpec, command: JointCommand, positions: Mapping[str, float]) -> GripperMove:
-    """Returns what a command does to a gripper whose joints are at ``positions``, by the first of its joints that it names.
+    """Returns the effect of a command on a gripper with joints at ``positions``, determined by the first of its joints in the command.
 
-    A command without names is for the joints in ``positions``, in their order.
+    A command without names applies to the joints in ``positions``, in their order.
     """
     if isinstance(command, JointTrajectory):
         rows = command.points[-1].positions if command.points else ()
@@ -108,9 +109,9 @@ def gripper_move(gripper: GripperSpec, command: JointCommand, positions: Mapping
     for joint in gripper.joints:
         if joint in commanded:
             speeds = isinstance(command, (JointVelocities, JointEfforts))
-            # A finger that is pressed beyond its end counts as at its end.
+            # A finger that is pressed beyond its limit counts as at its limit.
             now = min(max(positions[joint], low), high)
-            # Any speed is enough, since it has no end.
+            # Any speed is sufficient, since the motion has no end.
             change = math.copysign(1.0, span) * commanded[joint] if speeds else (commanded[joint] - now) / span
             least = 0.0 if speeds else _SMALL_MOVE
             return "closes" if change > least else "opens" if change < -least else "stays"
@@ -118,7 +119,7 @@ def gripper_move(gripper: GripperSpec, command: JointCommand, positions: Mapping
 
 
 def hinge_of(model: UrdfModel, link: str) -> str | None:
-    """Returns the hinge of a link's door: the first revolute joint from the root to the link; None = there is none."""
+    """Returns the hinge of the door of a link: the first revolute joint from the root to the link; None = no hinge."""
     above = {joint.child: joint for joint in model.joints}
     hinge = None
     while link in above:
@@ -130,12 +131,12 @@ def hinge_of(model: UrdfModel, link: str) -> str | None:
 
 
 def release_reason(settings: GraspSettings, force: float, hinge: float | None) -> str:
-    """Returns why a gripper must release what it holds; empty = it must not.
+    """Returns the reason why a gripper must release its object; empty = it must not.
 
     Args:
         settings: The limits.
         force: Load of the joint in the last step, N.
-        hinge: Opening angle of the door that it holds, radians; None = it holds no door.
+        hinge: Opening angle of the held door, radians; None = the object is not a door.
     """
     if settings.release_force and force > settings.release_force:
         return f"let go: {force:.0f} N is more than the set force, {settings.release_force:g} N"

@@ -1,7 +1,7 @@
-"""Forward and inverse kinematics of a chain of joints. Pure arithmetic; nothing moves in the engine.
+"""Forward and inverse kinematics of a chain of joints. Pure arithmetic, without the physics engine.
 
-It does not use PyBullet's solver: with limits and a rest pose that misses most poses that an arm of seven joints reaches, because both only bias
-its solution. Here limits are hard, and the rest pose acts only in the null space of the task.
+It does not use PyBullet's solver: with limits and a rest pose, that solver misses most poses that an arm of seven joints can reach, because both only
+bias its solution. This solver has hard limits, and the rest pose acts only in the null space of the task.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ _RESTARTS = 24
 _ITERATIONS = 80
 """Iterations of one attempt."""
 _POLISHING = 20
-"""Last iterations of an attempt, without the rest pose."""
+"""Number of final iterations of an attempt without the rest pose."""
 _EXACT = 1e-7
-"""Error that needs no improvement, metres and radians."""
+"""Error below which the iteration stops, metres and radians."""
 _SETTLED = 1e-4
 """Change of the joints in an iteration below which the rest pose is approached as far as possible, radians and metres."""
 _REST_GAIN = 0.3
-"""Fraction of the way to the rest pose in an iteration, as far as the target allows."""
+"""Fraction of the distance to the rest pose moved in an iteration, in the null space of the task."""
 _REST_DAMPING = 1e-2
 """Damping of the null-space motion towards the rest pose."""
 _STALLED = 0.98
-"""Ratio of the error to that of ten iterations ago above which an attempt is given up."""
+"""Ratio of the error to that of ten iterations ago above which an attempt is aborted."""
 _DAMPING = 0.05
 """Damping of the least squares per squared metre of error: stable near a stretched arm, fast near the target."""
 _FAR = 0.3
@@ -48,12 +48,12 @@ _MAX_STEP = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ChainSolution:
-    """Joint positions that bring the tip of a chain as near to a target as was found, and the remaining error."""
+    """Best joint positions found for a target of the tip of a chain, and the remaining error."""
 
     names: tuple[str, ...]
     """Moving joints of the chain, the root's first, without those that mimic others."""
     positions: tuple[float, ...]
-    """Radians or metres, within the limits."""
+    """Joint positions within the limits, radians or metres."""
     position_error: float
     """Distance of the tip from the target, metres."""
     angle_error: float
@@ -71,26 +71,26 @@ class _Link:
     joint: UrdfJoint
     T_parent_joint: Mat4
     leader: str
-    """The joint that determines its position: itself, or the one that it mimics; empty = it is fixed."""
+    """Joint that determines its position: itself, or the one that it mimics; empty = fixed."""
     mimic: Mimic | None
 
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """The axis of a joint, root's frame."""
+    """The axis of a joint, root frame."""
 
     leader: str
     factor: float
     """Ratio of its motion to that of its leader."""
     direction: F64
-    """(3,), unit vector."""
+    """Unit vector along the axis, (3,)."""
     origin: F64
-    """(3,), metres."""
+    """Point on the axis, (3,), metres."""
     slides: bool
 
 
 class Chain:
-    """The joints between the root of a model and one of its links; joints that mimic others follow them."""
+    """The joints between the root of a model and one of its links, including mimic joints."""
 
     def __init__(self, model: UrdfModel, tip: str, joints: Sequence[str] | None = None) -> None:
         """Finds the chain.
@@ -98,10 +98,10 @@ class Chain:
         Args:
             model: The tree of links.
             tip: Link at its end.
-            joints: Joints that may move; None = all moving joints of the chain. The others stay where they are.
+            joints: Joints that may move; None = all moving joints of the chain. The other joints keep their positions.
 
         Raises:
-            CommandError: the link does not exist, no joint moves it, or a joint is not of the chain.
+            CommandError: the link does not exist, no joint moves it, or a joint is not in the chain.
         """
         above = {joint.child: joint for joint in model.joints}
         if tip not in {link.name for link in model.links}:
@@ -122,7 +122,7 @@ class Chain:
             if name not in moving:
                 raise CommandError(f"joint {quoted(name)} does not move link {quoted(tip)}; these do: {', '.join(moving)}")
         self.names = tuple(name for name in moving if joints is None or name in joints)
-        """The joints that may move, the root's first, without those that mimic others."""
+        """Names of the joints that may move, from the root to the tip, without mimic joints."""
         if not self.names:
             raise CommandError(f"no joint of the chain to link {quoted(tip)} may move; name at least one of {', '.join(moving)}")
         limits = [_limits(model, name) for name in self.names]
@@ -134,7 +134,7 @@ class Chain:
         return self._forward(positions)[0]
 
     def jacobian(self, positions: Mapping[str, float]) -> tuple[Mat4, F64]:
-        """Returns T_root_tip, (4, 4), and the Jacobian, (6, J), from velocities of ``names`` to the twist of the tip, linear first, root's axes."""
+        """Returns T_root_tip, (4, 4), and the Jacobian, (6, J), from velocities of ``names`` to the twist of the tip, linear first, root axes."""
         T_root_tip, axes = self._forward(positions)
         return T_root_tip, self._jacobian_of(T_root_tip, axes)
 
@@ -146,13 +146,13 @@ class Chain:
         rest: Mapping[str, float] | None = None,
         orientation: bool = True,
     ) -> ChainSolution:
-        """Returns the joints that bring the tip to a target; equal arguments give equal results, to the bit.
+        """Returns the joint positions that bring the tip to a target (inverse kinematics); deterministic, bit-equal results.
 
         Args:
             target: T_root_tip, (4, 4).
-            start: Present positions, near which the search begins and, if possible, ends; missing joints are at 0.
-            rest: Joint positions to approach as far as the target leaves joints free; missing joints have none, None = none has.
-            orientation: Whether the orientation of the target counts, or only its position.
+            start: Current positions, from which the search begins; a near solution is preferred; missing joints are at 0.
+            rest: Rest pose of joints, approached in the null space of the task; joints may be missing; None = no rest pose.
+            orientation: Whether to match the orientation of the target, or only its position.
 
         Raises:
             CommandError: a number of the target is not finite.
@@ -179,8 +179,8 @@ class Chain:
         )
 
     def _descend(self, target: Mat4, begin: F64, others: Mapping[str, float], rest_positions: F64, orientation: bool) -> F64:
-        """Returns the result of an attempt from ``begin``, by damped least squares of the joints that no limit stops."""
-        q, before = begin, math.inf
+        """Returns the result of an attempt from ``begin``, by damped least squares over the joints that are not at a limit."""
+        q, previous_size = begin, math.inf
         for iteration in range(_ITERATIONS):
             error, jacobian = self._error(target, q, others, orientation)
             size = float(np.linalg.norm(error))
@@ -188,20 +188,20 @@ class Chain:
             if size < _EXACT and not resting:
                 break
             if iteration % 10 == 9:
-                if size > max(_STALLED * before, 10 * _EXACT):
+                if size > max(_STALLED * previous_size, 10 * _EXACT):
                     break
-                before = size
+                previous_size = size
             step = self._step(q, error, jacobian, rest_positions if resting else None)
             step *= min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-30))
             after: F64 = np.clip(q + step, self._lower, self._upper)
-            moved = float(np.abs(after - q).max())
+            largest_motion = float(np.abs(after - q).max())
             q = after
-            if size < _EXACT and moved < _SETTLED:
+            if size < _EXACT and largest_motion < _SETTLED:
                 break
         return q
 
     def _step(self, q: F64, error: F64, jacobian: F64, rest_positions: F64 | None) -> F64:
-        """Returns the motion of the joints in an iteration; joints that a limit stops are left out, until none would pass its limit."""
+        """Returns the motion of the joints in an iteration; joints that would pass a limit are excluded one by one."""
         free = np.ones(len(q), dtype=bool)
         step = np.zeros(len(q))
         damping = 1e-12 + _DAMPING * min(float(error @ error), _FAR**2)
@@ -228,7 +228,7 @@ class Chain:
         return np.concatenate([error, rotation]), jacobian
 
     def _jacobian_of(self, T_root_tip: Mat4, axes: Sequence[_Axis]) -> F64:
-        """Returns the Jacobian, (6, J), from velocities of ``names`` to the twist of the tip, linear first, root's axes."""
+        """Returns the Jacobian, (6, J), from velocities of ``names`` to the twist of the tip, linear first, root axes."""
         out = np.zeros((6, len(self.names)))
         for axis in axes:
             if axis.leader not in self.names:
@@ -257,7 +257,7 @@ class Chain:
 
 
 def _self_motion(jacobian: F64, desired: F64) -> F64:
-    """Returns the motion of the joints, (J,), that does not move the tip and is nearest to ``desired``, (J,); NaN = no rest position."""
+    """Returns the projection of ``desired``, (J,), onto the joint motions that do not move the tip, (J,); NaN = no rest position."""
     _, sizes, rows = np.linalg.svd(jacobian)
     free: F64 = rows[int((sizes > 1e-6).sum()) :]
     has_rest = ~np.isnan(desired)
@@ -271,7 +271,7 @@ def _leader(joint: UrdfJoint) -> str:
 
 
 def _limits(model: UrdfModel, name: str) -> tuple[float, float]:
-    """Returns the limits of a joint within which the joints that mimic it keep theirs."""
+    """Returns the limits of a joint within which its mimic joints are within their limits."""
     lower, upper = -math.inf, math.inf
     for joint in model.joints:
         if joint.kind == "fixed" or _leader(joint) != name or not joint.is_bounded:
@@ -287,13 +287,13 @@ def _limits(model: UrdfModel, name: str) -> tuple[float, float]:
 
 
 def _cross(a: F64, b: F64) -> F64:
-    """Returns a x b, (3,); several times faster than ``np.cross``."""
+    """Returns the cross product a x b, (3,); several times faster than ``np.cross``."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def _rotation_vector(rotation: F64) -> F64:
-    """Returns axis times angle, (3,), radians, of a rotation matrix."""
+    """Returns the rotation vector (axis times angle), (3,), radians, of a rotation matrix (3, 3)."""
     twice = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     sine, cosine = float(np.linalg.norm(twice)) / 2.0, (float(np.trace(rotation)) - 1.0) / 2.0
     angle = math.atan2(sine, cosine)

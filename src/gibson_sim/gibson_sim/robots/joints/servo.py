@@ -1,6 +1,6 @@
-"""Cartesian servo: from a velocity of the tool to velocities of the joints. Pure arithmetic.
+"""Cartesian servo: computes joint velocities from a tool velocity. Pure arithmetic.
 
-``PhysicsWorld.arms.servo`` applies it, and ``docs/manipulation.md`` explains it.
+``PhysicsWorld.arms.servo`` applies it, and ``docs/manipulation.md`` describes it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gibson_sim.types import Vec3
 
 F64 = NDArray[np.float64]
 _RANK = 1e-6
-"""Fraction of the greatest singular value below which a direction counts as impossible."""
+"""Fraction of the largest singular value below which a direction counts as impossible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +26,9 @@ class ToolTwist:
     linear: Vec3
     """Velocity of the tool's origin, m/s."""
     angular: Vec3
-    """rad/s."""
+    """Angular velocity, rad/s."""
     frame: str = ""
-    """Link of the robot along whose axes they are; empty = its base."""
+    """Link of the robot in whose axes the velocities are given; empty = the base."""
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.linear, *self.angular))):
@@ -43,17 +43,17 @@ class ServoSettings:
     """Limits and damping of a servo."""
 
     max_linear: float = 0.5
-    """m/s; a faster twist is slowed down as a whole, so that its direction stays."""
+    """Maximum linear speed, m/s; a faster twist is scaled down as a whole, with the same direction."""
     max_angular: float = 1.5
-    """rad/s; the same."""
+    """Maximum angular speed, rad/s; a faster twist is scaled down as a whole."""
     timeout: float = 0.25
-    """Seconds of simulation time after which a command is stale and the arm stops."""
+    """Command timeout after which the arm stops, seconds of simulation time."""
     damping: float = 0.05
-    """Maximum damping, at a singularity; metres and radians."""
+    """Maximum damping, at a singularity, in metres and radians."""
     singular: float = 0.08
     """Singular value of the Jacobian below which damping begins."""
     homing: float = 0.5
-    """Fraction of the way to the home pose that joints move per second, as far as the tool leaves them free."""
+    """Fraction of the distance to the home pose that joints move per second, in the null space of the task."""
 
     def __post_init__(self) -> None:
         for name in ("max_linear", "max_angular", "timeout", "damping", "singular"):
@@ -65,7 +65,7 @@ class ServoSettings:
 
 
 def limited_twist(twist: F64, settings: ServoSettings) -> F64:
-    """Returns a twist, (6,), linear then angular, slowed down to the limits; its direction stays."""
+    """Returns a twist, (6,), linear then angular, scaled down to the limits, with the same direction."""
     factor = max(
         float(np.linalg.norm(twist[:3])) / settings.max_linear, float(np.linalg.norm(twist[3:])) / settings.max_angular, 1.0
     )
@@ -75,16 +75,16 @@ def limited_twist(twist: F64, settings: ServoSettings) -> F64:
 def servo_speeds(
     jacobian: F64, twist: F64, positions: F64, home: F64, lower: F64, upper: F64, fastest: F64, dt: float, settings: ServoSettings
 ) -> F64:
-    """Returns the velocities of the joints, (J,), that move the tool by a twist, as far as they can.
+    """Returns the joint velocities, (J,), that move the tool with a twist, as far as possible.
 
-    Near a singularity they are damped. A joint at its limit is left out, and the others make up for it if they can. Joints that the task leaves
-    free move towards the home pose. All are slowed down together if one would be too fast.
+    They are damped near a singularity. A joint at its limit is excluded, and the other joints compensate if possible. In the null space of the task,
+    joints move towards the home pose. All velocities are scaled down together if one exceeds its limit.
 
     Args:
-        jacobian: (6, J), from joint velocities to the twist of the tool.
+        jacobian: (6, J), maps joint velocities to the twist of the tool.
         twist: (6,), linear m/s, angular rad/s, in the axes of the Jacobian.
-        positions: (J,), radians or metres.
-        home: (J,), the pose towards which free joints move; NaN = none.
+        positions: (J,), joint positions, radians or metres.
+        home: (J,), home pose; NaN = none.
         lower: (J,), lower position limits; -inf = none.
         upper: (J,), upper position limits; inf = none.
         fastest: (J,), velocity limits; inf = none.
@@ -109,7 +109,7 @@ def servo_speeds(
 
 
 def _least_squares(jacobian: F64, twist: F64, homing: F64, settings: ServoSettings) -> F64:
-    """Returns the velocities of the free joints; ``homing`` is projected to motions that do not move the tool."""
+    """Returns the velocities of the free joints; ``homing`` is projected onto the null space of the task."""
     u, sizes, rows = np.linalg.svd(jacobian, full_matrices=True)
     count = len(sizes)
     least = np.minimum(sizes / settings.singular, 1.0)

@@ -1,4 +1,4 @@
-"""Makes another link the root of a URDF: the frame of odometry, which is on the floor. Pure."""
+"""Changes the root link of a URDF to the frame of odometry, which is on the floor. Pure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_xml, read_file
 
 FOOTPRINT = "base_footprint"
-"""Name of the link on the floor."""
+"""Name of the added link on the floor."""
 
 
 def with_base(
@@ -29,15 +29,15 @@ def with_base(
     frictions: Mapping[str, float],
     rounds: Mapping[str, float],
 ) -> Path:
-    """Returns a URDF whose root is the frame of odometry: the file itself if nothing changes, else one in the cache.
+    """Returns the path of a URDF whose root is the frame of odometry: the file itself if it is unchanged, else a file in the cache.
 
     Args:
         model: The description.
-        base: A link that only fixed joints join to the root.
+        base: A link that is connected to the root by fixed joints only.
         height: Height of the root above the floor, metres; if not 0, a link below it, named ``base_footprint``, becomes the root.
         drops: Joint -> distance by which its child is lowered, metres.
         frictions: Link -> Coulomb friction that replaces that of the file.
-        rounds: Link -> radius, metres, of a sphere about its origin that replaces its collision shapes, and those of links fixed to it.
+        rounds: Link -> radius, metres, of the sphere about its origin that replaces its collision shapes, and those of links fixed to it.
 
     Raises:
         RobotError: ``base`` cannot be the root, or the joint does not exist.
@@ -47,8 +47,8 @@ def with_base(
     if base not in model.fixed_to_root():
         known = ", ".join(model.fixed_to_root())
         raise RobotError(
-            f"base_link is {quoted(base)}, must be the root link of {model.path.name}, {quoted(model.root)}, or one that fixed joints "
-            f"join to it: {known}"
+            f"base_link is {quoted(base)}, must be the root link of {model.path.name}, {quoted(model.root)}, or a link fixed "
+            f"to it: {known}"
         )
     top = parse_xml(read_file(model.path))
     _lower_joints(top, model, drops)
@@ -57,11 +57,11 @@ def with_base(
     if base != model.root:
         _reverse_joints(top, model, base)
     if height != 0.0:
-        taken = {link.name for link in model.links}
+        names = {link.name for link in model.links}
         name = (
             FOOTPRINT
-            if FOOTPRINT not in taken
-            else next(f"floor_{i}" for i in range(len(taken) + 1) if f"floor_{i}" not in taken)
+            if FOOTPRINT not in names
+            else next(f"floor_{i}" for i in range(len(names) + 1) if f"floor_{i}" not in names)
         )
         ET.SubElement(top, "link", name=name)
         under = np.eye(4)
@@ -71,7 +71,7 @@ def with_base(
 
 
 def _lower_joints(top: ET.Element, model: UrdfModel, drops: Mapping[str, float]) -> None:
-    """Moves the origins of joints down, along the z axis of the root."""
+    """Lowers the origins of joints along the z axis of the root."""
     transforms = model.transforms()
     elements = {element.get("name"): element for element in top.findall("joint")}
     for name, drop in drops.items():
@@ -93,10 +93,10 @@ def _set_frictions(top: ET.Element, model: UrdfModel, frictions: Mapping[str, fl
         contact = link.find("contact")
         if contact is None:
             contact = ET.SubElement(link, "contact")
-        given = contact.find("lateral_friction")
-        if given is None:
-            given = ET.SubElement(contact, "lateral_friction")
-        given.set("value", f"{value:.9g}")
+        friction = contact.find("lateral_friction")
+        if friction is None:
+            friction = ET.SubElement(contact, "lateral_friction")
+        friction.set("value", f"{value:.9g}")
 
 
 def _set_spheres(top: ET.Element, model: UrdfModel, rounds: Mapping[str, float]) -> None:

@@ -1,4 +1,4 @@
-"""Reads the ``cameras`` section of a ``robot.yaml``, or of a file of its own."""
+"""Reads the ``cameras`` section of a ``robot.yaml``, or of a separate file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _ZERO = (0.0, 0.0, 0.0)
 
 
 def read_cameras(robot: YamlMap, model: UrdfModel, name: str, folder: Path) -> tuple[CameraSpec, ...]:
-    """Returns the cameras of the robot ``name``, in the order of the file, which is in ``folder``."""
+    """Returns the cameras of the robot ``name``, in the order of the file; ``folder``: folder of the file."""
     entries = robot.values.get("cameras") or []
     if not isinstance(entries, list):
         raise RobotError(f"{robot.where}: cameras must be a list, is {type(entries).__name__}")
@@ -47,7 +47,7 @@ def read_cameras(robot: YamlMap, model: UrdfModel, name: str, folder: Path) -> t
 
 
 def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
-    """Returns the cameras of a file whose section ``cameras`` is as in a ``robot.yaml``, which may be the file itself.
+    """Returns the cameras in the section ``cameras`` of a ``robot.yaml`` or another YAML file.
 
     Args:
         path: The YAML file.
@@ -58,7 +58,7 @@ def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
         The cameras on links; those with a ``view`` are left out, see ``gibson_sim.scenes.load_views``.
 
     Raises:
-        RobotError: the file cannot be read, or a key, a value or a link is wrong.
+        RobotError: the file cannot be read, or a key, a value or a link is invalid.
     """
     entries = [entry for entry in camera_entries(path) if "view" not in entry.values]
 
@@ -81,7 +81,7 @@ def camera_entries(path: Path) -> list[YamlMap]:
     """Returns the entries of the section ``cameras`` of a file, at least one.
 
     Raises:
-        RobotError: the file cannot be read, or there are none.
+        RobotError: the file cannot be read, or has no cameras.
     """
     document = read_yaml_map(path, error=RobotError)
     if "urdf" not in document.values:  # else it is a robot.yaml, whose other keys load_robot checks
@@ -97,7 +97,7 @@ def _entries(top: YamlMap, entries: list[Any], folder: Path) -> list[YamlMap]:
 
 
 def _with_file(entry: Any, folder: Path) -> Any:
-    """Returns an entry whose network that fills holes is named by an absolute path; in the file it is relative to its folder."""
+    """Returns an entry with an absolute path of the network in ``fill``, which is relative to the folder of the file."""
     fill = entry.get("fill") if isinstance(entry, dict) else None
     if not isinstance(fill, str) or not fill.endswith(".onnx"):
         return entry
@@ -116,8 +116,8 @@ def read_camera(settings: YamlMap, find_link: Callable[[str], str]) -> CameraSpe
     """Returns the camera of an entry; ``find_link`` returns the full name of a link, empty = the world.
 
     Raises:
-        RobotError: a key or a value is wrong.
-        ConfigError: the values do not make a camera.
+        RobotError: a key or a value is invalid.
+        ConfigError: the values are not a valid camera.
     """
     settings.check_keys(_CAMERA_KEYS)
     camera_name = settings.text("name")
@@ -143,7 +143,7 @@ def read_camera(settings: YamlMap, find_link: Callable[[str], str]) -> CameraSpe
             )
     values["fill_depth"] = settings.flag("fill_depth", False)
     if values["fill_depth"] and "hole" not in outputs:
-        outputs = [*outputs, "hole"]  # it marks the depths that are made up
+        outputs = [*outputs, "hole"]  # it marks the filled depths
     pose = _camera_pose(settings, link)
     return CameraSpec(name=camera_name, link=link, pose=pose, outputs=tuple(outputs), **values)
 
@@ -154,7 +154,7 @@ def _optics(settings: YamlMap) -> dict[str, Any]:
     if projection not in DISTORTIONS:
         raise RobotError(f"{settings.where}: projection is {quoted(projection)}, must be one of {', '.join(DISTORTIONS)}")
     out: dict[str, Any] = {"projection": projection}
-    # Angles of another projection would be ignored silently.
+    # Reject angles of another projection, which would be ignored silently.
     for key, field, owner in (("fov_y_deg", "fov_y", "pinhole"), ("fov_deg", "fov", "fisheye")):
         if key in settings.values:
             if projection != owner:
@@ -182,22 +182,22 @@ def _optics(settings: YamlMap) -> dict[str, Any]:
 
 
 def _matrix(settings: YamlMap) -> tuple[float, ...]:
-    """Returns K from nine numbers by rows, or from a mapping of focal lengths and principal point."""
+    """Returns K from nine numbers, row-major, or from a mapping of focal lengths and principal point."""
     if isinstance(settings.values["k"], list):
         return settings.floats("k")
     section = settings.section("k")
     if section is None:
         raise RobotError(f"{settings.where}: k is empty, must be nine numbers, or fx, fy, cx, cy and, if any, skew")
     section.check_keys(_MATRIX_KEYS)
-    given = section.numbers(_MATRIX_KEYS)
-    missing = [key for key in _MATRIX_KEYS[:4] if key not in given]
+    values = section.numbers(_MATRIX_KEYS)
+    missing = [key for key in _MATRIX_KEYS[:4] if key not in values]
     if missing:
         raise RobotError(f"{section.where}: {', '.join(missing)} is missing; give fx, fy, cx and cy, pixels")
-    return (given["fx"], given.get("skew", 0.0), given["cx"], 0.0, given["fy"], given["cy"], 0.0, 0.0, 1.0)
+    return (values["fx"], values.get("skew", 0.0), values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0)
 
 
 def _numeric_spec(section: YamlMap, kind: type[ImageEffects] | type[DepthNoise]) -> ImageEffects | DepthNoise:
-    """Returns a specification whose fields are all numbers, with those of the file."""
+    """Returns a specification with numeric fields, with the values in the file."""
     whole = tuple(f.name for f in fields(kind) if isinstance(f.default, int))
     names = tuple(f.name for f in fields(kind))
     section.check_keys(names)
@@ -205,12 +205,12 @@ def _numeric_spec(section: YamlMap, kind: type[ImageEffects] | type[DepthNoise])
 
 
 def _camera_pose(settings: YamlMap, link: str) -> Pose:
-    """Returns T_link_optical. REP 103: a link with ``_optical`` in its name already has optical axes."""
+    """Returns T_link_optical. A link with ``_optical`` in its name already has optical axes (REP 103)."""
     place = settings.section("pose")
     if "_optical" in link.rpartition("/")[2]:
         if place is not None:
             raise RobotError(
-                f"{settings.where}: link {quoted(link)} is optical and takes no pose; name the link it is fixed to instead"
+                f"{settings.where}: link {quoted(link)} is optical, so a pose is not allowed; name the link that it is fixed to instead"
             )
         return Pose()
     T_link_camera: Mat4 = np.eye(4)

@@ -1,7 +1,7 @@
-"""Guesses the ``robot.yaml`` of a robot that has none: its drive, its height above the floor, its sensors. Pure.
+"""Guesses the ``robot.yaml`` of a robot without one: drive, height above the floor, sensors. Pure.
 
-Each guess has a line of its own; what cannot be guessed is a ``RobotError`` that says what to do. ``wheels`` recognises wheels by their joints and
-shapes, ``sensor_guesses`` sensors by tags and names.
+Each guess is reported in one line; if a guess is impossible, a ``RobotError`` names the remedy. ``wheels`` recognises wheels by their joints and
+shapes, ``sensor_guesses`` recognises sensors by tags and names.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ _LEAST_DROP, _MAX_DROP = 0.001, 0.03
 _HULL_MARGIN = 0.001
 """Thickness that the engine adds to the convex hulls of meshes, metres."""
 _MAX_RAISE = 0.01
-"""Maximum distance of a body from the floor by which its two wheels are raised so that it stands on it, metres."""
+"""Maximum distance of a body from the floor by which its two wheels are raised, so that its casters touch the floor, metres."""
 _TOUCHES = 0.01
 """Height above the lowest point of the wheels below which a link counts as touching the floor, metres."""
 _GRIP = 1.0
-"""Friction of driven wheels."""
+"""Coulomb friction of driven wheels."""
 _MAX_STEERING_DEG = 30.0
-"""Limit for steering joints that have none."""
+"""Default steering limit of joints without limits, degrees."""
 _MECANUM = re.compile(r"mecanum|mechanum", re.IGNORECASE)
 _LEAST_TRACK = 0.02
 """Minimum distance of a left wheel from a right one, metres."""
 _LEAST_LEG_JOINTS = 2
-"""Turning joints of a leg, at least."""
+"""Minimum number of turning joints of a leg."""
 _LEG_TOLERANCE = 0.05
 """Maximum difference of the heights of feet with all joints at 0, metres."""
 _HELD = 0.1
-"""Distance of the feet of a robot that is held from the floor, metres."""
+"""Height of the feet above the floor for a robot that is held in the air, metres."""
 _BY_HAND = "write a robot.yaml with the drive that it has (docs/robots.md)"
 
 
@@ -59,9 +59,9 @@ class DerivedRobot:
     """A guessed ``robot.yaml``."""
 
     values: dict[str, Any]
-    """Its keys and values, without ``urdf``."""
+    """Keys and values, without ``urdf``."""
     guesses: tuple[Guess, ...]
-    """One for each guessed value."""
+    """Guesses, one per value."""
 
 
 def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_drive: bool = True) -> DerivedRobot:
@@ -70,11 +70,11 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
     Args:
         model: The description.
         points: Reads meshes; None = meshes are not measured.
-        needs_drive: Whether a robot without wheels is an error. Else it has no drive, and an arm is fixed to the floor; what has legs is an
-            error in any case.
+        needs_drive: Whether a robot without wheels is an error. Else it has no drive, and an arm is fixed to the floor; legs are an error in
+            any case.
 
     Raises:
-        RobotError: there are no wheels, or no drive fits them, or it has legs; one line.
+        RobotError: the robot has no wheels, no drive fits the wheels, or it has legs; one line.
     """
     values: dict[str, Any] = {}
     guesses: list[Guess] = []
@@ -106,16 +106,16 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
 
 
 def _named_wheels(model: UrdfModel) -> tuple[str, ...]:
-    """Returns the joints that a plugin of Gazebo drives by."""
+    """Returns the wheel joints of Gazebo's drive plugin."""
     return () if model.gazebo.drive is None else model.gazebo.drive.joints
 
 
 def _derive_drive(
     model: UrdfModel, found: list[Wheel], sideways: Sequence[UrdfJoint], guesses: list[Guess]
 ) -> tuple[dict[str, Any], list[Wheel]]:
-    """Returns (the section ``drive``, its wheels, all with a radius)."""
+    """Returns (section ``drive``, its wheels, each with a radius)."""
     named = [wheel for wheel in found if wheel.joint.name in _named_wheels(model)]
-    # What Gazebo drives by are the wheels, if they are pairs; others are taken for casters.
+    # Prefer the wheels of Gazebo's plugin, if they form pairs; others are assumed to be casters.
     wheels = named if find_pairs(named) else found
     pairs = find_pairs(wheels)
     if not pairs:
@@ -172,7 +172,7 @@ def _derive_drive(
 
 
 def _refuse_legs(model: UrdfModel, points: MeshPoints | None) -> None:
-    """Raises RobotError if the robot stands on legs: branches of two or more turning joints that reach lower than the rest."""
+    """Raises RobotError if the robot stands on legs: branches of two or more turning joints that extend below all other links."""
     transforms = model.transforms()
     children: dict[str, list[UrdfJoint]] = {}
     for joint in model.joints:
@@ -194,14 +194,14 @@ def _refuse_legs(model: UrdfModel, points: MeshPoints | None) -> None:
     standing = [name for name, lowest in legs if lowest - floor < _LEG_TOLERANCE]
     if len(standing) >= 2 and (body is None or body > floor + _LEG_TOLERANCE):
         raise RobotError(
-            f"{model.path}: stands on {len(standing)} legs ({', '.join(standing)}): robots that walk are not simulated, since that needs a "
-            "controller of their balance. Its joints can be moved while its body is held in the air: write a robot.yaml with urdf, "
+            f"{model.path}: stands on {len(standing)} legs ({', '.join(standing)}): walking robots are not simulated, since they need a "
+            "balance controller. Its joints can be moved while its body is held in the air: write a robot.yaml with urdf, "
             f"fixed_base: true and base_height: {-floor + _HELD:.2g}"
         )
 
 
 def _fix_base(model: UrdfModel, points: MeshPoints | None, values: dict[str, Any], guesses: list[Guess]) -> None:
-    """Fixes the base of a robot that has motors and no drive, such as an arm, on the floor."""
+    """Fixes the base of a robot with motors but without a drive, such as an arm, to the floor."""
     if not any(joint.has_motor for joint in model.joints):
         return
     values["fixed_base"] = True
@@ -213,23 +213,23 @@ def _fix_base(model: UrdfModel, points: MeshPoints | None, values: dict[str, Any
 
 
 def _lowest(model: UrdfModel, names: Sequence[str], transforms: dict[str, Mat4], points: MeshPoints | None) -> float | None:
-    """Returns the lowest z of collision shapes of links, metres, root's frame; None = they have none."""
+    """Returns the minimum z of the collision shapes of links, metres, root frame; None = no collision shapes."""
     spanned = [link_points(model.link(name).collisions, transforms[name], points) for name in names]
     found = np.concatenate(spanned) if spanned else np.zeros((0, 3))
     return float(found[:, 2].min()) if len(found) else None
 
 
 def _wrong_axes(model: UrdfModel) -> str:
-    """Returns what is wrong where wheels to the left and right of each other turn about the forward direction; empty = nothing.
+    """Returns an error text if wheels beside each other rotate about the forward direction; empty = no error.
 
-    A joint without ``<axis>`` turns about its own x axis, which is a common mistake.
+    A joint without ``<axis>`` rotates about its x axis, which is a common mistake.
     """
     transforms = model.transforms()
     found = []
     for joint in model.joints:
         T = transforms[joint.child]
-        named = "wheel" in f"{joint.name} {joint.child}".lower()
-        if joint.kind == "continuous" and named and abs(float((T[:3, :3] @ np.array(joint.axis))[0])) >= ALIGNED:
+        is_wheel = "wheel" in f"{joint.name} {joint.child}".lower()
+        if joint.kind == "continuous" and is_wheel and abs(float((T[:3, :3] @ np.array(joint.axis))[0])) >= ALIGNED:
             found.append((joint.name, T))
     for i, (name, T) in enumerate(found):
         for _, other in found[i + 1 :]:
@@ -244,7 +244,7 @@ def _wrong_axes(model: UrdfModel) -> str:
 
 
 def _no_drive_reason(model: UrdfModel, wheels: Sequence[Wheel], sideways: Sequence[UrdfJoint]) -> str:
-    """Returns why a robot cannot drive, and what to do."""
+    """Returns the reason why a robot cannot drive, and the remedy."""
     wrong = _wrong_axes(model)
     if wrong:
         return f"{model.path}: {wrong}"
@@ -289,14 +289,14 @@ def _multi_axle_drive(model: UrdfModel, pairs: Sequence[Pair]) -> dict[str, Any]
 
 
 def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> tuple[float, str]:
-    """Returns (radius of the driven wheels, metres, from what it is known)."""
+    """Returns (radius of the driven wheels, metres, source of the value)."""
     wheels = [wheel for pair in pairs for wheel in (pair.left, pair.right)]
     bare = [wheel.joint.child for wheel in wheels if not wheel.rolls and wheel.radius == 0.0]
     if bare:
-        lost = next((line for line in model.warnings if quoted(bare[0]) in line and " mesh " in line), "")
+        mesh_warning = next((line for line in model.warnings if quoted(bare[0]) in line and " mesh " in line), "")
         raise RobotError(
             f"{model.path}: its wheels have no shape that can be read, so that they touch no floor: {', '.join(bare)}"
-            f"{f' ({lost})' if lost else ''}; give them a <collision> with a sphere or a cylinder"
+            f"{f' ({mesh_warning})' if mesh_warning else ''}; give them a <collision> with a sphere or a cylinder"
         )
     driven = [wheel.radius for wheel in (pairs[0].left, pairs[0].right)]
     if min(driven) > 0.0:
@@ -313,27 +313,27 @@ def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> tuple[float, str]:
 
 
 def _round_wheels(wheels: Sequence[Wheel], values: dict[str, Any], guesses: list[Guess]) -> None:
-    """Lets wheels whose collision shape cannot roll collide as spheres."""
-    found = {wheel.joint.child: round(wheel.radius, 5) for wheel in wheels if not wheel.rolls}
-    if found:
-        values["round_wheels"] = found
-        text = ", ".join(f"{name} {radius:g} m" for name, radius in found.items())
+    """Replaces collision shapes of wheels that cannot roll by spheres."""
+    radii = {wheel.joint.child: round(wheel.radius, 5) for wheel in wheels if not wheel.rolls}
+    if radii:
+        values["round_wheels"] = radii
+        text = ", ".join(f"{name} {radius:g} m" for name, radius in radii.items())
         guesses.append(
             Guess("round_wheels", f"{text}, spheres instead of their collision shapes, which are meshes, not round, or missing")
         )
 
 
 def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) -> tuple[float, str]:
-    """Returns (by how much the wheels must be lowered to bear the robot, metres, below 0 = raised, 0 = they are right; and why).
+    """Returns (distance by which the wheels must be lowered to support the robot, metres, below 0 = raised; reason).
 
-    Those on springs hang above the floor in many files; and a body whose casters are part of it may stand on them alone, or hang above them.
+    In many files, wheels on springs are above the floor, or casters that are part of the body are below the wheels, or above the floor.
     """
     transforms = model.transforms()
     turning = {joint.child for joint in model.joints if joint.kind == "continuous" and not joint.has_motor}
-    own = {name for wheel in wheels for name in rigid_links(model, wheel.joint.child)}
+    wheel_links = {name for wheel in wheels for name in rigid_links(model, wheel.joint.child)}
     floor = min(wheel.bottom for wheel in wheels)
-    body = [name for name in rigid_links(model, model.root) if name not in own]
-    casters = [link for name in turning if name not in own for link in rigid_links(model, name)]
+    body = [name for name in rigid_links(model, model.root) if name not in wheel_links]
+    casters = [link for name in turning if name not in wheel_links for link in rigid_links(model, name)]
     gaps = {name: low - floor for name in (*body, *casters) if (low := _lowest(model, [name], transforms, points)) is not None}
     if not gaps:
         return 0.0, ""
@@ -344,7 +344,7 @@ def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) 
             f"{model.path}: link {quoted(lowest)} reaches {-gap:.3g} m lower than the wheels, so that they do not touch the floor; correct the "
             "origins in the file"
         )
-    # A little lower, so that they carry the load that the casters otherwise would.
+    # Slightly lower, so that they carry the load in place of the casters.
     if gap < -_LEAST_DROP:
         return _LEAST_DROP - gap, f"{lowest} reaches {-gap * 1000:.2g} mm lower than the wheels"
     if abs(gap) <= _LEAST_DROP and lowest in body and _bears_alone(model, body, floor + gap, points):
@@ -360,7 +360,7 @@ def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) 
 
 
 def _bears_alone(model: UrdfModel, names: Sequence[str], floor: float, points: MeshPoints | None) -> bool:
-    """Returns whether links would hold the robot upright on a floor at this height without its wheels: its centre of mass is above their points."""
+    """Returns whether links would support the robot on a floor at this height without its wheels: its centre of mass is above their support area."""
     transforms = model.transforms()
     spanned = [link_points(model.link(name).collisions, transforms[name], points) for name in names]
     low = np.concatenate(spanned)
@@ -370,7 +370,7 @@ def _bears_alone(model: UrdfModel, names: Sequence[str], floor: float, points: M
         g.mass for g in groups
     )
     around = np.arctan2(*(low - center).T[::-1])
-    # It is inside of their hull if no half of the plane about it is without points.
+    # It is inside of their convex hull if no half-plane about it is without points.
     gaps = np.diff(np.sort(around), append=around.min() + 2 * np.pi) if len(around) else np.array([2 * np.pi])
     return bool(gaps.max() < np.pi)
 
@@ -378,24 +378,24 @@ def _bears_alone(model: UrdfModel, names: Sequence[str], floor: float, points: M
 def _friction(
     model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None, values: dict[str, Any], guesses: list[Guess]
 ) -> None:
-    """Sets frictions that the file does not give: wheels grip, and other links on the floor slide, as casters that roll."""
+    """Sets missing frictions: driven wheels grip, and other links on the floor slide, like casters."""
     transforms = model.transforms()
     turning = {wheel.joint.child for wheel in wheels}
     floor = min(wheel.bottom for wheel in wheels)
-    found = {}
+    frictions = {}
     for link in model.links:
         spanned = link_points(link.collisions, transforms[link.name], points)
         if link.friction is None and len(spanned) and float(spanned[:, 2].min()) - floor < _TOUCHES:
-            found[link.name] = _GRIP if link.name in turning else 0.0
-    if found:
-        values["friction"] = found
+            frictions[link.name] = _GRIP if link.name in turning else 0.0
+    if frictions:
+        values["friction"] = frictions
         guesses.append(
-            Guess("friction", f"{', '.join(f'{name} {value:g}' for name, value in found.items())} (the file gives none)")
+            Guess("friction", f"{', '.join(f'{name} {value:g}' for name, value in frictions.items())} (the file gives none)")
         )
 
 
 def _base(model: UrdfModel, floor: float, values: dict[str, Any], guesses: list[Guess]) -> None:
-    """Chooses the frame of odometry, which is on the floor; ``floor`` is the lowest point of the wheels, z in the root's frame."""
+    """Chooses the frame of odometry, which is on the floor; ``floor``: lowest point of the wheels, z in the root frame."""
     footprint = [name for name in model.fixed_to_root() if name.split("/")[-1] == FOOTPRINT and name != model.root]
     transforms = model.transforms()
     for name in footprint:

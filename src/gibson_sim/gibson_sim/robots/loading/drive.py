@@ -1,4 +1,4 @@
-"""Reads the ``drive`` section of a ``robot.yaml``; dimensions that the file does not give are measured in the URDF."""
+"""Reads the ``drive`` section of a ``robot.yaml``; missing dimensions are measured in the URDF."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveS
 _LIMITS = ("max_linear", "max_angular", "max_linear_acceleration", "max_wheel_torque", "command_delay", "slip")
 _TURNS = ("max_angular_acceleration", "turn_slip")
 ALIGNED = 0.99
-"""Cosine of the largest angle between the axis of a joint and its ideal direction."""
+"""Minimum cosine of the angle between the axis of a joint and its ideal direction."""
 
 
 def read_drive(robot: YamlMap, model: UrdfModel) -> DriveSpec | None:
-    """Returns the drive; None = the file gives none."""
+    """Returns the drive; None = the file has no ``drive`` section."""
     settings = robot.section("drive")
     if settings is None:
         return None
@@ -33,22 +33,22 @@ def read_drive(robot: YamlMap, model: UrdfModel) -> DriveSpec | None:
 
 
 class _DriveSection:
-    """The section, and the joints that it names in the URDF."""
+    """The ``drive`` section, with access to the URDF joints that it names."""
 
     def __init__(self, settings: YamlMap, model: UrdfModel) -> None:
         self.settings, self.model, self.where = settings, model, settings.where
         self._transforms = model.transforms()
 
     def frame(self, joint: UrdfJoint) -> Mat4:
-        """Returns T_root_child with all joints at 0."""
+        """Returns T_root_child, (4, 4), with all joints at 0."""
         return self._transforms[joint.child]
 
     def axis(self, joint: UrdfJoint) -> Any:
-        """Returns the unit vector of the joint's axis in the root's frame, (3,)."""
+        """Returns the unit vector of the joint's axis in the root frame, (3,)."""
         return self.frame(joint)[:3, :3] @ np.array(joint.axis)
 
     def wheel(self, name: str) -> tuple[UrdfJoint, float]:
-        """Returns a joint whose wheel rolls along x, and +1 if a positive turn rolls it forward, else -1."""
+        """Returns the joint of a wheel that rolls along x, and +1 if positive rotation rolls it forward, else -1."""
         joint = self.model.joint(name)
         across = float(self.axis(joint)[1])
         if joint.kind != "continuous" or abs(across) < ALIGNED:
@@ -58,7 +58,7 @@ class _DriveSection:
         return joint, 1.0 if across > 0 else -1.0
 
     def steering_joint(self, name: str) -> tuple[UrdfJoint, float]:
-        """Returns a joint that steers, and +1 if a positive turn steers to the left, else -1."""
+        """Returns a steering joint, and +1 if positive rotation steers to the left, else -1."""
         joint = self.model.joint(name)
         up = float(self.axis(joint)[2])
         if joint.kind not in ("revolute", "continuous") or abs(up) < ALIGNED:
@@ -68,7 +68,7 @@ class _DriveSection:
         return joint, 1.0 if up > 0 else -1.0
 
     def track(self, left: UrdfJoint, right: UrdfJoint) -> float:
-        """Returns the distance of ``left`` to the left (+y) of ``right``, metres."""
+        """Returns the lateral distance (+y) from ``right`` to ``left``, metres."""
         distance = float(self.frame(left)[1, 3] - self.frame(right)[1, 3])
         if distance <= 0:
             raise RobotError(
@@ -77,7 +77,7 @@ class _DriveSection:
         return distance
 
     def radius(self, wheels: Sequence[UrdfJoint]) -> float:
-        """Returns ``wheel_radius``, from the file, or from the wheels' shapes if they agree."""
+        """Returns ``wheel_radius`` of the file, else that of the shapes of the wheels, if it is unique."""
         if "wheel_radius" in self.settings.values:
             return self.settings.number("wheel_radius")
         radii = [_wheel_radius(self.model, joint.child) for joint in wheels]
@@ -99,11 +99,11 @@ def _differential(section: _DriveSection) -> DifferentialSpec:
     limits = (*_LIMITS, *_TURNS)
     section.settings.check_keys(("type", "left_joint", "right_joint", "wheel_radius", "wheel_separation", *limits))
     left, right = (section.wheel(section.settings.text(key)) for key in ("left_joint", "right_joint"))
-    given = section.settings.numbers(("wheel_separation", *limits))
-    separation = given.pop("wheel_separation", section.track(left[0], right[0]))
+    values = section.settings.numbers(("wheel_separation", *limits))
+    separation = values.pop("wheel_separation", section.track(left[0], right[0]))
     return DifferentialSpec(
         kind="differential", left_joints=(left[0].name,), right_joints=(right[0].name,), left_signs=(left[1],), right_signs=(right[1],),
-        wheel_radius=section.radius((left[0], right[0])), wheel_separation=separation, **given,
+        wheel_radius=section.radius((left[0], right[0])), wheel_separation=separation, **values,
     )  # fmt: skip
 
 
@@ -113,15 +113,15 @@ def _skid_steer(section: _DriveSection) -> DifferentialSpec:
     section.settings.check_keys(keys)
     left, right = ([section.wheel(name) for name in section.names(key)] for key in ("left_joints", "right_joints"))
     separation = min(section.track(a, b) for a, _ in left for b, _ in right)
-    given = section.settings.numbers(("wheel_separation", "separation_factor", *limits))
-    factor = given.pop("separation_factor", 1.0)
+    values = section.settings.numbers(("wheel_separation", "separation_factor", *limits))
+    factor = values.pop("separation_factor", 1.0)
     if factor <= 0:
         raise RobotError(f"{section.where}: separation_factor is {factor:g}, must be above 0")
-    separation = given.pop("wheel_separation", separation) * factor
+    separation = values.pop("wheel_separation", separation) * factor
     return DifferentialSpec(
         kind="skid_steer", wheel_separation=separation, wheel_radius=section.radius([joint for joint, _ in left + right]),
         left_joints=tuple(joint.name for joint, _ in left), right_joints=tuple(joint.name for joint, _ in right),
-        left_signs=tuple(sign for _, sign in left), right_signs=tuple(sign for _, sign in right), **given,
+        left_signs=tuple(sign for _, sign in left), right_signs=tuple(sign for _, sign in right), **values,
     )  # fmt: skip
 
 
@@ -133,11 +133,11 @@ def _omni(section: _DriveSection) -> OmniSpec:
         raise RobotError(f"{section.where}: wheels is {quoted(items)}, must be a list of {{joint: .., roller_deg: ..}}")
     wheels = [_omni_wheel(section, section.settings.within(item, f"wheels[{i}]")) for i, item in enumerate(items)]
     joints = [section.model.joint(wheel.joint) for wheel in wheels]
-    given = section.settings.numbers(limits)
+    values = section.settings.numbers(limits)
     for sideways, forward in (("max_lateral", "max_linear"), ("max_lateral_acceleration", "max_linear_acceleration")):
-        if forward in given:
-            given.setdefault(sideways, given[forward])
-    return OmniSpec(wheels=tuple(wheels), wheel_radius=section.radius(joints), **given)
+        if forward in values:
+            values.setdefault(sideways, values[forward])
+    return OmniSpec(wheels=tuple(wheels), wheel_radius=section.radius(joints), **values)
 
 
 def _omni_wheel(section: _DriveSection, item: YamlMap) -> OmniWheel:
@@ -148,7 +148,7 @@ def _omni_wheel(section: _DriveSection, item: YamlMap) -> OmniWheel:
         raise RobotError(
             f"{section.model.path}: joint {quoted(joint.name)} cannot drive: it must be continuous, with a level axis in {section.model.root}"
         )
-    # A positive turn rolls the wheel along axis x up.
+    # Positive rotation rolls the wheel along axis x up.
     heading = math.atan2(-axis[0], axis[1])
     roller = math.radians(item.numbers(("roller_deg",)).get("roller_deg", 0.0))
     return OmniWheel(joint.name, (float(hub[0]), float(hub[1])), heading, roller)
@@ -168,21 +168,21 @@ def _ackermann(section: _DriveSection) -> AckermannSpec:
         raise RobotError(
             f"{section.where}: {quoted(left_pin[0].name)} is not in front (+x) of {quoted(left[0].name)}; were they swapped?"
         )
-    given = section.settings.numbers((*measured_keys, *numbers, *_LIMITS))
-    given.setdefault("wheelbase", front - rear)
-    given.setdefault("wheel_separation", section.track(left[0], right[0]))
-    given.setdefault("steering_separation", section.track(left_pin[0], right_pin[0]))
+    values = section.settings.numbers((*measured_keys, *numbers, *_LIMITS))
+    values.setdefault("wheelbase", front - rear)
+    values.setdefault("wheel_separation", section.track(left[0], right[0]))
+    values.setdefault("steering_separation", section.track(left_pin[0], right_pin[0]))
     return AckermannSpec(
         left_joint=left[0].name, right_joint=right[0].name, left_sign=left[1], right_sign=right[1],
         left_steering_joint=left_pin[0].name, right_steering_joint=right_pin[0].name,
         left_steering_sign=left_pin[1], right_steering_sign=right_pin[1],
-        max_steering=_max_steering(section, given.pop("max_steering_deg", None), (left_pin[0], right_pin[0])),
-        wheel_radius=section.radius((left[0], right[0])), rear_axle_x=rear, **given,
+        max_steering=_max_steering(section, values.pop("max_steering_deg", None), (left_pin[0], right_pin[0])),
+        wheel_radius=section.radius((left[0], right[0])), rear_axle_x=rear, **values,
     )  # fmt: skip
 
 
 def _max_steering(section: _DriveSection, given_deg: float | None, pins: Sequence[UrdfJoint]) -> float:
-    """Returns the angle, radians, to which both wheels can be steered in both directions."""
+    """Returns the maximum angle, radians, to which both wheels can be steered in both directions."""
     ends = [min(-joint.lower, joint.upper) for joint in pins if joint.lower <= joint.upper]
     if given_deg is None:
         if not ends:
@@ -208,5 +208,5 @@ def _wheel_radius(model: UrdfModel, link_name: str) -> float:
         if radii:
             return max(radii)
     raise RobotError(
-        f"{model.path}: link {quoted(link_name)} has no sphere or cylinder to read the wheel's radius from; give drive.wheel_radius"
+        f"{model.path}: link {quoted(link_name)} has no sphere or cylinder for the radius of the wheel; give drive.wheel_radius"
     )

@@ -1,4 +1,4 @@
-"""``Guess``: one value of a ``robot.yaml`` that was guessed, and why. Pure."""
+"""``Guess``: a guessed value of a ``robot.yaml``, and its source. Pure."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """One guessed value."""
+    """A guessed value."""
 
     key: str
-    """Key of the ``robot.yaml`` that it belongs to."""
+    """Key of the ``robot.yaml`` for the value."""
     text: str
-    """The value, and from what it was guessed."""
+    """Value, and its source."""
     part: str = ""
-    """Key inside of that section, if the line is about one value of it; empty = the whole section."""
+    """Key within that section, if the line is about one of its values; empty = the whole section."""
     by_hand: str = ""
-    """What to set in the file, since a description does not say it; empty = nothing."""
+    """Value that the user must set, since a description does not contain it; empty = none."""
 
     def __str__(self) -> str:
         """Returns the line for the user."""

@@ -16,7 +16,7 @@ from gibson_sim.robots.spec import GripperSpec, ManipulatorSpec, NamedPose
 
 MANIPULATOR_KEYS = ("manipulators", "named_poses", "home")
 _ROUNDING = 1e-6
-"""Excess of a position over a limit that is tolerated, radians or metres."""
+"""Tolerated excess of a position over a limit, radians or metres."""
 
 
 def read_manipulators(robot: YamlMap, model: UrdfModel, drive: DriveSpec | None) -> tuple[ManipulatorSpec, ...]:
@@ -27,17 +27,17 @@ def read_manipulators(robot: YamlMap, model: UrdfModel, drive: DriveSpec | None)
             f"{robot.where}: manipulators is {quoted(items)}, must be a list of {{name: .., joints: [..], tip_link: ..}}"
         )
     joints = _Joints(model, drive)
-    found = [_manipulator(robot.within(item, f"manipulators[{i}]"), model, joints) for i, item in enumerate(items)]
-    _check_distinct([arm.name for arm in found], f"{robot.where}: manipulators", "are named")
-    every = [name for arm in found for name in (*arm.joints, *(arm.gripper.joints if arm.gripper else ()))]
-    _check_distinct(every, f"{robot.where}: manipulators", "move joint")
-    return tuple(found)
+    arms = [_manipulator(robot.within(item, f"manipulators[{i}]"), model, joints) for i, item in enumerate(items)]
+    _check_distinct([arm.name for arm in arms], f"{robot.where}: manipulators", "are named")
+    all_joints = [name for arm in arms for name in (*arm.joints, *(arm.gripper.joints if arm.gripper else ()))]
+    _check_distinct(all_joints, f"{robot.where}: manipulators", "move joint")
+    return tuple(arms)
 
 
 def read_poses(
     robot: YamlMap, model: UrdfModel, drive: DriveSpec | None
 ) -> tuple[tuple[NamedPose, ...], tuple[tuple[str, float], ...]]:
-    """Returns the named poses, and the joint positions at load and after a reset: those of ``home``, else 0 or the nearest limit."""
+    """Returns the named poses, and (joint, position) at load and after a reset: those of ``home``, else 0 or the nearest limit."""
     section = robot.section("named_poses")
     joints = _Joints(model, drive)
     poses = []
@@ -48,39 +48,41 @@ def read_poses(
     at_home: dict[str, float] = {}
     if "home" in robot.values:
         home = robot.text("home")
-        named = {pose.name: pose for pose in poses}
-        if home not in named:
-            raise RobotError(f"{robot.where}: home is {quoted(home)}, must be one of named_poses: {', '.join(named) or 'none'}")
-        at_home = dict(named[home].joints)
+        poses_by_name = {pose.name: pose for pose in poses}
+        if home not in poses_by_name:
+            raise RobotError(
+                f"{robot.where}: home is {quoted(home)}, must be one of named_poses: {', '.join(poses_by_name) or 'none'}"
+            )
+        at_home = dict(poses_by_name[home].joints)
     at_rest = {joint.name: _at_rest(joint) for joint in joints.known.values()}
     positions = model.with_followers({**{name: at for name, at in at_rest.items() if at}, **at_home})
     return tuple(poses), tuple((name, at) for name, at in positions.items() if at or name in at_home)
 
 
 class _Joints:
-    """The joints of a robot that obey joint commands."""
+    """The joints of a robot that accept joint commands."""
 
     def __init__(self, model: UrdfModel, drive: DriveSpec | None) -> None:
         self.model = model
         self.driven: Collection[str] = ()
         if drive is not None:
-            made = make_drive(drive)
-            self.driven = {joint.name for joint in (*made.wheels, *made.steering)}
+            instance = make_drive(drive)
+            self.driven = {joint.name for joint in (*instance.wheels, *instance.steering)}
         self.known = {joint.name: joint for joint in model.joints if self._refusal(joint) is None}
 
     def get(self, name: Any, where: str) -> UrdfJoint:
-        """Returns the joint of this name."""
+        """Returns the joint of this name; raises RobotError if it does not accept commands."""
         if not isinstance(name, str) or not name:
             raise RobotError(f"{where}: {quoted(name)} is not the name of a joint")
         reason = self._refusal(self.model.joint(name))
         if reason is not None:
             raise RobotError(
-                f"{where}: joint {quoted(name)} {reason}; joints that obey commands: {', '.join(self.known) or 'none'}"
+                f"{where}: joint {quoted(name)} {reason}; joints that accept commands: {', '.join(self.known) or 'none'}"
             )
         return self.known[name]
 
     def _refusal(self, joint: UrdfJoint) -> str | None:
-        """Returns why a joint does not obey commands; None = it does."""
+        """Returns the reason why a joint does not accept commands; None = it does."""
         if joint.name in self.driven:
             return "belongs to the drive"
         if joint.mimic is not None:
@@ -115,9 +117,9 @@ def _manipulator(item: YamlMap, model: UrdfModel, joints: _Joints) -> Manipulato
 def _gripper(section: YamlMap, joints: _Joints) -> GripperSpec:
     section.check_keys(("joints", "open", "closed", "max_effort"))
     names = _names(section, "joints")
-    found = [joints.get(name, f"{section.where}: joints") for name in names]
+    fingers = [joints.get(name, f"{section.where}: joints") for name in names]
     opened, closed, effort = (section.number(key) for key in ("open", "closed", "max_effort"))
-    for joint in found:
+    for joint in fingers:
         for key, value in (("open", opened), ("closed", closed)):
             _check_position(joint, value, f"{section.where}: {key}")
         if joint.effort and effort > joint.effort:
@@ -161,7 +163,7 @@ def _check_distinct(names: list[str], where: str, verb: str) -> None:
 
 
 def _joints_above(model: UrdfModel, link: str) -> list[str]:
-    """Returns the joints that move a link, the root's first."""
+    """Returns the joints that move a link, from the root to the link."""
     by_child = {joint.child: joint for joint in model.joints}
     out: list[str] = []
     while link in by_child:

@@ -1,4 +1,4 @@
-"""Guesses lidars, cameras and an IMU of a robot from what its description tells Gazebo, else from the names of its links. Pure."""
+"""Guesses lidars, cameras and an IMU of a robot from the Gazebo sensors of its description, else from the names of its links. Pure."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _IMU = re.compile(r"(^|[_/])imu\d*($|_)", re.IGNORECASE)
 _MOUNT = re.compile(r"mount|bracket|tower|plate|support|screw|holder", re.IGNORECASE)
 _NO_COLOR = re.compile(r"depth|infra|ir_|_ir\b|right|fisheye|gyro|accel|imu|pose", re.IGNORECASE)
 _CAMERA_PARTS = re.compile(r"(_(optical|rgb|color|colour|front|link|frame|sensor))+$", re.IGNORECASE)
-"""End of a link's name that is not part of the name of its camera."""
+"""Pattern of the end of a link name that is not part of the name of its camera."""
 _SENSOR_PARTS = re.compile(r"(_(link|frame|sensor|laser|scan))+$", re.IGNORECASE)
-"""The same for a lidar."""
+"""Pattern of the end of a link name that is not part of the name of its lidar."""
 _NOT_ROS = re.compile(r"[^A-Za-z0-9_]+")
 _MAX_GUESSED = 4
-"""Maximum number of cameras, and of lidars, that are guessed."""
+"""Maximum number of guessed cameras, and of guessed lidars."""
 _MIN_BEAMS, _MIN_FOV, _MIN_RANGE = 32, math.radians(45.0), 1.5
-"""What a ray sensor of Gazebo has at least if it is a lidar, and not an infrared or cliff sensor: rays, radians, metres."""
+"""Minimum number of rays, field of view (radians) and range (metres) of a Gazebo ray sensor that is a lidar, not an infrared or cliff sensor."""
 _TURN = 2.0 * math.pi
 
 
@@ -43,30 +43,30 @@ def guess_sensors(model: UrdfModel, values: dict[str, Any], guesses: list[Guess]
 def _guess_lidars(model: UrdfModel, values: dict[str, Any], guesses: list[Guess]) -> None:
     tagged = [sensor for sensor in model.gazebo.sensors if sensor.kind == "lidar" and _is_lidar(sensor)][:_MAX_GUESSED]
     transforms = model.transforms()
-    found: dict[str, list[dict[str, Any]]] = {"lidar": [], "lidar_3d": []}
+    sections: dict[str, list[dict[str, Any]]] = {"lidar": [], "lidar_3d": []}
     if tagged:
         for sensor in tagged:
             key = "lidar_3d" if sensor.channels > 1 else "lidar"
             entry = _tagged_lidar_3d(sensor) if sensor.channels > 1 else _tagged_lidar(sensor)
-            found[key].append({"link": sensor.link, **entry})
+            sections[key].append({"link": sensor.link, **entry})
             text = ", ".join(f"{name} {value:g}" for name, value in entry.items())
             guesses.append(Guess(key, f"at {sensor.link}, {text} (from the Gazebo sensor {quoted(sensor.name)})"))
     else:
         names = _links_named(model, _LIDAR, lambda name: abs(float(transforms[name][2, 2])) > 0.99)[:_MAX_GUESSED]
         for name in names:
             spinning = _LIDAR_3D.search(name) is not None
-            found["lidar_3d" if spinning else "lidar"].append({"link": name})
+            sections["lidar_3d" if spinning else "lidar"].append({"link": name})
             what = "16 rings from -15 to 15 degrees, 0.3 to 100 m" if spinning else "360 degrees, 0.12 to 12 m"
             key = "lidar_3d" if spinning else "lidar"
             keys = "channels, samples, elevations" if spinning else "beams, fov_deg, angle_min_deg"
             hand = f"{key} at {name}: {keys}, range_min, range_max, rate_hz, from its data sheet"
             guesses.append(Guess(key, f"at {name}, {what} (there is a link of that name)", by_hand=hand))
     for key, topic in (("lidar", "scan"), ("lidar_3d", "points")):
-        if len(found[key]) == 1:
-            values[key] = found[key][0]
-        elif found[key]:
+        if len(sections[key]) == 1:
+            values[key] = sections[key][0]
+        elif sections[key]:
             taken: set[str] = set()
-            values[key] = [{"name": f"{_name(e['link'], _SENSOR_PARTS, 'lidar', taken)}/{topic}", **e} for e in found[key]]
+            values[key] = [{"name": f"{_name(e['link'], _SENSOR_PARTS, 'lidar', taken)}/{topic}", **e} for e in sections[key]]
 
 
 def _is_lidar(sensor: GazeboSensor) -> bool:
@@ -99,7 +99,7 @@ def _ranging(sensor: GazeboSensor) -> dict[str, Any]:
 
 def _guess_cameras(model: UrdfModel, values: dict[str, Any], guesses: list[Guess]) -> None:
     tagged = [sensor for sensor in model.gazebo.sensors if sensor.kind in ("camera", "depth_camera")]
-    # A colour and a depth sensor at one place are one camera here: each draws both.
+    # A colour and a depth sensor at the same pose are merged to one camera, which renders both.
     at_places = list({(sensor.link, sensor.xyz): sensor for sensor in reversed(tagged)}.values())[::-1][:_MAX_GUESSED]
     entries: list[dict[str, Any]] = []
     taken: set[str] = set()
@@ -108,9 +108,9 @@ def _guess_cameras(model: UrdfModel, values: dict[str, Any], guesses: list[Guess
         name = "camera" if len(at_places) == 1 else _name(link, _CAMERA_PARTS, "camera", taken)
         entry = {"name": name, "link": link, **_tagged_camera(sensor, optical="_optical" in link)}
         entries.append(entry)
-        said = f"{entry.get('width', 640)} x {entry.get('height', 480)}, {entry.get('fov_y_deg', 60):g} degrees high"
+        optics = f"{entry.get('width', 640)} x {entry.get('height', 480)}, {entry.get('fov_y_deg', 60):g} degrees high"
         how = f"(from the Gazebo sensor {quoted(sensor.name)})"
-        guesses.append(Guess("cameras", f"at {link}, {said} {how}", _camera_part(name)))
+        guesses.append(Guess("cameras", f"at {link}, {optics} {how}", _camera_part(name)))
     links = [] if entries else _camera_links(model)
     for link in links:
         name = "camera" if len(links) == 1 else _name(link, _CAMERA_PARTS, "camera", taken)
@@ -123,12 +123,12 @@ def _guess_cameras(model: UrdfModel, values: dict[str, Any], guesses: list[Guess
 
 
 def _camera_part(name: str) -> str:
-    """Returns what a line about a camera begins with."""
+    """Returns the prefix of a line about a camera."""
     return "camera" if name == "camera" else f"camera {name}"
 
 
 def _camera_links(model: UrdfModel) -> list[str]:
-    """Returns links that are called optical, in colour; else the first that is called a camera and looks forward."""
+    """Returns links that are named optical frames of colour cameras; else the first link that is named a camera and faces forward."""
     optical = [
         link.name
         for link in model.links
@@ -139,7 +139,7 @@ def _camera_links(model: UrdfModel) -> list[str]:
 
 
 def _optical_link(model: UrdfModel, sensor: GazeboSensor) -> str:
-    """Returns the optical frame of a camera: a link below the one with the sensor that has its place and looks along its x axis; empty = none."""
+    """Returns the optical frame of a camera: a descendant of the link with the sensor, at its position, with z along its x axis; empty = none."""
     below = [sensor.link]
     for name in below:
         below += [joint.child for joint in model.joints if joint.kind == "fixed" and joint.parent == name]
@@ -147,8 +147,8 @@ def _optical_link(model: UrdfModel, sensor: GazeboSensor) -> str:
     place: Mat4 = transforms[sensor.link]
     for name in below:
         frame = transforms[name]
-        looks = float(frame[:3, 2] @ place[:3, 0])
-        if "_optical" in name and looks > 0.99 and np.linalg.norm(frame[:3, 3] - place[:3, 3]) < 0.1 and not any(sensor.rpy):
+        alignment = float(frame[:3, 2] @ place[:3, 0])
+        if "_optical" in name and alignment > 0.99 and np.linalg.norm(frame[:3, 3] - place[:3, 3]) < 0.1 and not any(sensor.rpy):
             return name
     return ""
 
@@ -175,29 +175,29 @@ def _guess_imu(model: UrdfModel, values: dict[str, Any], guesses: list[Guess]) -
         how = f"(from the Gazebo sensor {quoted(sensor.name)})"
         guesses.append(Guess("imu", f"at {sensor.link}, {rate.get('rate_hz', 100):g} Hz {how}"))
         return
-    named = [link.name for link in model.links if _IMU.search(link.name) and not _MOUNT.search(link.name)]
-    # The robot's own, rather than that of a camera.
-    named.sort(key=lambda name: bool(re.search(r"camera|realsense|oak|zed", name, re.IGNORECASE)))
-    if named:
-        values["imu"] = {"link": named[0]}
-        guesses.append(Guess("imu", f"at {named[0]}, 100 Hz (there is a link of that name)"))
+    imu_links = [link.name for link in model.links if _IMU.search(link.name) and not _MOUNT.search(link.name)]
+    # Prefer the IMU of the robot to that of a camera.
+    imu_links.sort(key=lambda name: bool(re.search(r"camera|realsense|oak|zed", name, re.IGNORECASE)))
+    if imu_links:
+        values["imu"] = {"link": imu_links[0]}
+        guesses.append(Guess("imu", f"at {imu_links[0]}, 100 Hz (there is a link of that name)"))
 
 
 def _links_named(model: UrdfModel, pattern: re.Pattern[str], fits: Callable[[str], bool]) -> list[str]:
-    """Returns links with a matching name: of a chain of fixed joints, the last one."""
+    """Returns links with a matching name; for a chain of fixed joints, only the last one."""
     parents: Mapping[str, str] = {joint.child: joint.parent for joint in model.joints if joint.kind == "fixed"}
     names = [link.name for link in model.links if pattern.search(link.name) and not _MOUNT.search(link.name) and fits(link.name)]
-    found: list[str] = []
+    links: list[str] = []
     for name in names:
-        if found and parents.get(name) in found:
-            found[found.index(parents[name])] = name
+        if links and parents.get(name) in links:
+            links[links.index(parents[name])] = name
         else:
-            found.append(name)
-    return found
+            links.append(name)
+    return links
 
 
 def _name(link: str, parts: re.Pattern[str], fallback: str, taken: set[str]) -> str:
-    """Returns the name of a sensor by that of its link: a name in ROS that no other one has."""
+    """Returns the name of a sensor, derived from that of its link: valid in ROS and unique."""
     plain = _NOT_ROS.sub("_", parts.sub("", link)).strip("_")
     base = plain if plain and plain[0].isalpha() else fallback
     name = next(text for text in _numbered(base) if text not in taken)

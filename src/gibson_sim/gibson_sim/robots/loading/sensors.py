@@ -22,7 +22,7 @@ from gibson_sim.robots.sensor_specs import (
 )
 
 SENSOR_KEYS = ("lidar", "lidar_3d", "imu", "bumper", "battery", "wheel_odometry")
-"""Keys of a ``robot.yaml`` that are read here."""
+"""Keys of a ``robot.yaml`` that this module reads."""
 
 _RANGING = (
     "range_min", "range_max", "rate_hz", "range_noise", "range_noise_ratio", "range_scale", "resolution", "dropout",
@@ -38,8 +38,8 @@ def read_sensors(robot: YamlMap, model: UrdfModel, name: str) -> SensorSpecs:
     """Returns the sensors of the robot ``name``.
 
     Raises:
-        RobotError: a key, a link or the type of a value is wrong.
-        ConfigError: a value is impossible.
+        RobotError: a key, a link or the type of a value is invalid.
+        ConfigError: a value is out of range.
     """
     battery, wheels = robot.section("battery"), robot.section("wheel_odometry")
     return SensorSpecs(
@@ -53,7 +53,7 @@ def read_sensors(robot: YamlMap, model: UrdfModel, name: str) -> SensorSpecs:
 
 
 def _sections(robot: YamlMap, key: str) -> list[YamlMap]:
-    """Returns the mapping under ``key``, or those of a list."""
+    """Returns the mapping under ``key``, or the mappings in the list under it."""
     value = robot.values.get(key)
     if isinstance(value, list):
         return [robot.within(item, f"{key}[{i}]") for i, item in enumerate(value)]
@@ -63,7 +63,7 @@ def _sections(robot: YamlMap, key: str) -> list[YamlMap]:
 
 def _lidar(settings: YamlMap, model: UrdfModel, name: str) -> LidarSpec:
     values = _values(settings, _RANGING, ("beams", "seed"), ("angle_min_deg", "fov_deg"), ("name", "link"))
-    # A field of view of less than a revolution is centred ahead by default.
+    # By default, a field of view of less than a revolution is centred on the x axis.
     if "fov" in values and values["fov"] < TURN - 1e-9:
         values.setdefault("angle_min", -values["fov"] / 2)
     return LidarSpec(link=_link(settings, model, name), **values)
@@ -87,7 +87,7 @@ def _bumper(settings: YamlMap, model: UrdfModel, name: str) -> BumperSpec:
     links = settings.values.get("links", [])
     if not isinstance(links, list) or not all(isinstance(link, str) for link in links):
         raise RobotError(f"{settings.where}: links is {quoted(links)}, must be a list of names of links")
-    # A contact names the rigid group, not the link in it.
+    # Contacts are reported for the rigid group, not for a link in it.
     first = {member: group.name for group in rigid_groups(model)[0] for member in group.members}
     sensitive = tuple(dict.fromkeys(first[model.link(link).name] for link in links))
     link = model.root if "link" not in settings.values else model.link(settings.text("link")).name
@@ -106,9 +106,9 @@ def _values(
     texts: tuple[str, ...] = (),
     other: tuple[str, ...] = (),
 ) -> dict[str, Any]:
-    """Returns the fields of a specification that the file gives, by name; any other key is an error.
+    """Returns field name -> value of a specification for the keys in the file; unknown keys are errors.
 
-    Angles lose their ``_deg`` and become radians. The caller reads ``link`` and ``other``, which are not in the result.
+    Keys that end in ``_deg`` are converted to radians, without the suffix. The caller reads ``link`` and ``other``, which are not in the result.
     """
     settings.check_keys((*texts, *other, *numbers, *integers, *degrees))
     values: dict[str, Any] = {**settings.numbers(numbers), **settings.integers(integers)}

@@ -1,4 +1,4 @@
-"""Recognises the wheels of a description by their joints and shapes, and pairs them left and right. Pure."""
+"""Recognises the wheels of a description by their joints and shapes, and pairs left and right wheels. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.robots.loading.drive import ALIGNED
 
 _LEVEL = 0.14
-"""Sine of the largest angle between the axis of a wheel and the floor."""
+"""Maximum sine of the angle between the axis of a wheel and the floor."""
 _ROUND = 0.15
 """Maximum deviation of the outline of a wheel from a circle about its axis, as a fraction of its radius."""
 _SAME = 0.03
@@ -25,27 +25,27 @@ _LIFT = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """A link that turns about a level axis."""
+    """A link that rotates about a level axis."""
 
     joint: UrdfJoint
     hub: NDArray[np.float64]
-    """Its centre, (3,), in the root's frame, metres."""
+    """Centre of the wheel, (3,), in the root frame, metres."""
     radius: float
-    """Metres; 0 = no shape of it can be measured."""
+    """Radius, metres; 0 = none of its shapes can be measured."""
     rolls: bool
-    """Whether it collides as a sphere or a cylinder, or as a mesh that cannot be read. Meshes roll on the corners of their convex hull, which the
-    engine also makes a millimetre larger."""
+    """Whether its collision shape is a sphere or a cylinder, or an unreadable mesh. Other meshes roll on the corners of their convex hull, which
+    the engine also enlarges by a millimetre."""
     swivel: UrdfJoint | None
-    """The nearest joint above it with a vertical axis; None = it cannot be steered."""
+    """Nearest ancestor joint with a vertical axis; None = the wheel cannot be steered."""
 
     @property
     def bottom(self) -> float:
-        """Lowest point, z in the root's frame, metres."""
+        """Lowest point, z in the root frame, metres."""
         return float(self.hub[2]) - self.radius
 
     @property
     def is_caster(self) -> bool:
-        """Whether it swivels freely, or has a caster's name."""
+        """Whether it swivels freely, or is named a caster."""
         text = f"{self.joint.name} {self.joint.child}".lower()
         free = self.swivel is not None and not steers(self.swivel)
         return free or "caster" in text or "castor" in text
@@ -53,36 +53,36 @@ class Wheel:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two wheels that are mirror images of each other."""
+    """Two wheels that mirror each other."""
 
     left: Wheel
     right: Wheel
 
     @property
     def x(self) -> float:
-        """Position of its axle along x in the root's frame, metres."""
+        """Position of its axle along x in the root frame, metres."""
         return float(self.left.hub[0] + self.right.hub[0]) / 2
 
     @property
     def swivels(self) -> bool:
-        """Whether both wheels are on joints that steer."""
+        """Whether both wheels are steered."""
         return self.left.swivel is not None and self.right.swivel is not None
 
 
 def steers(joint: UrdfJoint) -> bool:
-    """Returns whether a joint with a vertical axis steers, and is not the swivel of a caster."""
+    """Returns whether a joint with a vertical axis is a steering joint, not the swivel of a caster."""
     return joint.kind == "revolute" or "steer" in f"{joint.name} {joint.child}".lower()
 
 
 def find_wheels(
     model: UrdfModel, points: MeshPoints | None = None, named: Sequence[str] = ()
 ) -> tuple[list[Wheel], list[UrdfJoint]]:
-    """Returns (possible wheels, continuous joints of round links whose axis is along x).
+    """Returns (candidate wheels, continuous joints of round links whose axis is along x).
 
     Args:
         model: The links.
         points: Reads meshes; None = a wheel that is a mesh has no radius.
-        named: Joints that turn wheels, whatever the shapes on them are; a wheel that is not round has no radius.
+        named: Joints of wheels, regardless of their shapes; a wheel that is not round has no radius.
     """
     transforms = model.transforms()
     above = {joint.child: joint for joint in model.joints}
@@ -107,9 +107,9 @@ def find_wheels(
 
 
 def find_pairs(wheels: list[Wheel]) -> list[Pair]:
-    """Returns the pairs that stand on the floor, from the rear to the front, without casters and wheels that have no mirror image."""
+    """Returns the pairs on the floor, from the rear to the front, without casters and unpaired wheels."""
     able = [wheel for wheel in wheels if not wheel.is_caster]
-    pairs = _mirrored(able)
+    pairs = _mirror_pairs(able)
     if not pairs:
         return []
     lowest = min(wheel.bottom for pair in pairs for wheel in (pair.left, pair.right))
@@ -117,32 +117,32 @@ def find_pairs(wheels: list[Wheel]) -> list[Pair]:
     return sorted(standing, key=lambda pair: pair.x)
 
 
-def _mirrored(wheels: list[Wheel]) -> list[Pair]:
+def _mirror_pairs(wheels: list[Wheel]) -> list[Pair]:
     pairs: list[Pair] = []
     # The outermost first, so that twin wheels on an axle are paired with their mirror images.
     left = sorted(wheels, key=lambda wheel: -wheel.hub[1])
     middle = (max(w.hub[1] for w in wheels) + min(w.hub[1] for w in wheels)) / 2 if wheels else 0.0
-    taken: set[str] = set()
+    paired: set[str] = set()
     for wheel in left:
         if wheel.hub[1] - middle < 0.01:
             continue
         matches = [
             other
             for other in wheels
-            if other.joint.name not in taken
+            if other.joint.name not in paired
             and np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).max() <= _SAME
             and abs(wheel.hub[1] + other.hub[1] - 2 * middle) <= _SAME
             and abs(wheel.radius - other.radius) <= _ROUND * max(wheel.radius, other.radius)
         ]
         if matches:
             best = min(matches, key=lambda other: float(np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).sum()))
-            taken.add(best.joint.name)
+            paired.add(best.joint.name)
             pairs.append(Pair(wheel, best))
     return pairs
 
 
 def _swivel(joint: UrdfJoint, above: dict[str, UrdfJoint], transforms: dict[str, Mat4]) -> UrdfJoint | None:
-    """Returns the nearest joint above another one with a vertical axis."""
+    """Returns the nearest ancestor joint with a vertical axis."""
     higher = above.get(joint.parent)
     while higher is not None:
         if higher.kind in ("revolute", "continuous"):
@@ -156,7 +156,7 @@ def _swivel(joint: UrdfJoint, above: dict[str, UrdfJoint], transforms: dict[str,
 def _wheel(
     model: UrdfModel, joint: UrdfJoint, transforms: dict[str, Mat4], swivel: UrdfJoint | None, points: MeshPoints | None
 ) -> Wheel | None:
-    """Returns the wheel on a joint; None = neither its collision shapes nor its visuals are round about its axis."""
+    """Returns the wheel of a joint; None = neither its collision shapes nor its visuals are round about its axis."""
     frame = transforms[joint.child]
     hub, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)
     links = [model.link(name) for name in rigid_links(model, joint.child)]
@@ -168,7 +168,7 @@ def _wheel(
         measured = True
         radius = _round_radius(offset, axis)
         if radius > 0.0:
-            # The radius in the file, if it agrees with the measured one: a cylinder rotated by 1.57 instead of pi/2 measures larger.
+            # Use the radius in the file if it agrees with the measured one: a cylinder rotated by 1.57 instead of pi/2 measures larger.
             shapes = [item.shape for link in links for item in getattr(link, kind)]
             near = [s.size[0] for s in shapes if s.kind in ("sphere", "cylinder") and abs(s.size[0] - radius) < _ROUND * radius]
             rolls = kind == "collisions" and all(shape.kind in ("sphere", "cylinder") for shape in shapes)
@@ -183,11 +183,11 @@ def _round_radius(offset: NDArray[np.float64], axis: NDArray[np.float64]) -> flo
     low, high = flat.min(axis=0), flat.max(axis=0)
     radius = float((high - low).max()) / 2
     outline = np.abs(np.array([*-low, *high]) - radius).max()
-    # The corners of a box lie outside of the circle that touches its sides.
+    # The corners of a box are outside of its inscribed circle.
     corner = float(np.hypot(flat[:, 0], flat[:, 1]).max())
     return radius if outline <= _ROUND * radius and corner <= (1.0 + _ROUND) * radius else 0.0
 
 
 def _collides(model: UrdfModel, joint: UrdfJoint) -> bool:
-    """Returns whether the links on a joint have a collision shape."""
+    """Returns whether the links of a joint have a collision shape."""
     return any(model.link(name).collisions for name in rigid_links(model, joint.child))
