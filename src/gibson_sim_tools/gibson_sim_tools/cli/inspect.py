@@ -84,12 +84,12 @@ def _check(args: argparse.Namespace) -> ExitCode:
     if not args.fix and (args.output is not None or args.unit is not None or args.up is not None):
         raise ConfigError("--output, --unit and --up are for --fix: add it, or leave them out")
     if args.up is not None and args.no_level:
-        raise ConfigError("--up turns the scene and --no-level leaves it as it is: give one of them")
+        raise ConfigError("--up rotates the scene and --no-level keeps its orientation: give one of them")
     if not 64 <= args.max_texture <= 16384:
         raise ConfigError(f"--max-texture is {args.max_texture}, must be 64 to 16384 pixels")
     if args.align_splats and args.fix:
         raise ConfigError(
-            "--align-splats changes scene.yaml, and --fix writes a copy, with splats aligned if they need it: give one of them"
+            "--align-splats changes scene.yaml; --fix writes a copy and aligns its splats if necessary: give one of them"
         )
     scale = unit_m(args.unit)
     up = _up(args.up)
@@ -106,7 +106,7 @@ def _check(args: argparse.Namespace) -> ExitCode:
     file, fixed_report = fix_scene(report, args.output, FixOptions(scale, args.max_texture, not args.no_level, up))
     if not args.json:
         unclear = any(finding.what == "up-unclear" for finding in fixed_report.findings)
-        print(f"{'not sure which way is up, so the scene is not turned' if unclear else 'repaired'}: {file}")
+        print(f"{'the up direction is not clear, so the scene is not rotated' if unclear else 'repaired'}: {file}")
     _print(fixed_report, args.json)
     return ExitCode.OK if fixed_report.clean else ExitCode.ERROR
 

@@ -49,7 +49,7 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
 
     settings = settings_from_args(PhotographSettings, args)
     if args.mesh is not None and args.fuse:
-        raise ConfigError("--mesh names a mesh and --fuse makes one: give one of them")
+        raise ConfigError("--mesh names a mesh and --fuse creates one: give one of them")
     output = args.output or Path(f"{args.source.resolve().name.removesuffix('.zip')}_scene")
     folder, source = args.source, str(args.source.resolve())
     if not folder.is_dir():

@@ -41,7 +41,7 @@ class RoundedBox:
 
 @dataclass(frozen=True)
 class RoomsPiece:
-    """A piece of furniture. In its frame, it stands on z = 0, its back is at y = 0, and it extends from x = 0 to its width."""
+    """A piece of furniture. In its frame, its base is at z = 0, its back at y = 0, and it extends from x = 0 to its width."""
 
     name: str
     semantic_class: str

@@ -69,7 +69,7 @@ def _assumed_masses(trial: RobotTrial) -> list[str]:
         return []
     named = ", ".join(f"{clipped(name, _LONGEST_NAME)} ({kg:g} kg)" for name, kg in assumed[:_MAX_NAMED])
     more = f" and {len(assumed) - _MAX_NAMED} more" if len(assumed) > _MAX_NAMED else ""
-    return [f"masses are missing: the figures below are those of assumed ones, {named}{more}; give these links an <inertial>"]
+    return [f"masses are missing: the figures below assume {named}{more}; give these links an <inertial>"]
 
 
 def _standing(trial: RobotTrial) -> list[str]:
@@ -208,19 +208,19 @@ def _stability_by_hand(trial: RobotTrial) -> list[str]:
         least = min(stability.tipping_acceleration((1.0, 0.0)), stability.tipping_acceleration((-1.0, 0.0)))
         if least < _MIN_ACCELERATION:
             lines.append(
-                "it all but tips over at rest: its centre of mass is above the edge of its support; correct masses and origins, or move a caster"
+                "it nearly tips over at rest: its centre of mass is above an edge of its support; correct masses and origins, or move a caster"
             )
         elif least < robot.drive.max_linear_acceleration:
             lines.append(
-                f"drive.max_linear_acceleration: {_SAFETY_FACTOR * least:.2g} instead of {robot.drive.max_linear_acceleration:g} m/s^2, with which "
-                "it tips, or masses in the description that are those of the robot"
+                f"drive.max_linear_acceleration: {_SAFETY_FACTOR * least:.2g} instead of {robot.drive.max_linear_acceleration:g} m/s^2, at which "
+                "it tips; or correct the masses in the description"
             )
     sides = stability.support[:, 1].min(), stability.support[:, 1].max()
     aside = float(stability.center_of_mass[1]) - (sides[0] + sides[1]) / 2
     if abs(aside) > _OFF_CENTRE * (sides[1] - sides[0]):
         side = "left" if aside > 0 else "right"
         lines.append(
-            f"masses: the centre of mass is {abs(aside) * 1000:.0f} mm to the {side} of the middle; is it so on the robot?"
+            f"masses: the centre of mass is {abs(aside) * 1000:.0f} mm to the {side} of the middle; compare it with the robot"
         )
     if trial.drift > _DRIFT:
         lines.append(f"it moves {trial.drift * 1000:.0f} mm by itself; check the heights of wheels and casters (wheel_drop)")
@@ -232,7 +232,7 @@ def _drive_by_hand(trial: RobotTrial) -> list[str]:
     for drive in trial.drives:
         if abs(drive.slip) > _SLIP:
             lines.append(
-                f"{drive.name}: its wheels slip by {100 * drive.slip:.1f} %; check friction, wheel_radius, wheel_drop and what else touches the floor"
+                f"{drive.name}: its wheels slip by {100 * drive.slip:.1f} %; check friction, wheel_radius, wheel_drop and other floor contacts"
             )
         elif drive.turns and abs(drive.driven.yaw - drive.commanded.yaw) > _TURN_ERROR:
             lines.append(

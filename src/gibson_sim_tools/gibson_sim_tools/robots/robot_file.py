@@ -1,4 +1,4 @@
-"""The text of a ``robot.yaml`` with guessed values, each guess in a comment above its key."""
+"""Generates a ``robot.yaml`` with guessed values, each guess explained in a comment above its key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Static stability of a robot: centre of mass, support polygon, static stability margin, tipping accelerations, footprint. Pure geometry.
+"""Computes the static stability of a robot: centre of mass, support polygon, static stability margin, tipping accelerations, footprint. Pure.
 
 All points are in the frame of the base at rest (x forward, y left), but z is the height above the floor. The static stability margin follows
 McGhee and Frank, "On the stability properties of quadruped creeping gaits" (1968): the distance from the projection of the centre of mass to the
