@@ -78,14 +78,14 @@ def marked_processes() -> list[str]:
 def leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("OF", str(os.getpid()))
     domains: list[int] = []
-    locked = session.lock_free_domain
+    locked = session.acquire_free_domain
 
     def lock(allowed: Sequence[int]) -> tuple[int, DomainLock]:
         domain, held = locked(allowed)
         domains.append(domain)
         return domain, held
 
-    monkeypatch.setattr(session, "lock_free_domain", lock)
+    monkeypatch.setattr(session, "acquire_free_domain", lock)
     yield
     session.SESSIONS.close()
     assert marked_processes() == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,3 +128,33 @@ def test_loss_is_the_squared_error_with_double_weight_in_holes() -> None:
     # Neighbouring columns that differ by 0.3 add the squared difference, 7 of 7 steps in one direction at full size alone.
     stripes = 0.3 * (torch.arange(8) % 2) * torch.ones(2, 3, 8, 1)
     assert float(loss_of(stripes, truth, torch.zeros_like(hole))) == pytest.approx(0.3**2 / 2.0 + 0.5 / 3.0 * 0.3**2)
+
+
+def test_the_consistency_loss_compares_the_image_of_a_moved_input_with_the_moved_image(tmp_path: Path) -> None:
+    from gibson_sim_learn.filler.training import FillerTraining, batch_of
+
+    plain, steady = (
+        FillerTraining(tmp_path / str(weight), replace(SETTINGS, consistency=weight), "data") for weight in (0.0, 4.0)
+    )
+    values, truth = batch_of([pairs()], np.random.default_rng(3), 2, 32)
+    untrained = [training._loss(values, truth).item() for training in (plain, steady)]
+    assert untrained[0] == pytest.approx(untrained[1], abs=1e-6), (
+        "an untrained network returns the colours of its input, moved or not"
+    )
+    for training in (plain, steady):
+        torch.nn.init.normal_(training.network.exit.weight, std=0.05, generator=torch.Generator().manual_seed(1))
+    changed = [training._loss(values, truth).item() for training in (plain, steady)]
+    assert changed[1] > changed[0] + 0.001
+
+
+def test_a_moved_input_keeps_its_masks_and_has_no_normals_in_holes() -> None:
+    from gibson_sim_learn.filler.training import batch_of, motion_grid, moved_inputs
+
+    inputs = torch.from_numpy(batch_of([pairs()], np.random.default_rng(3), 2, 32)[0])
+    still = torch.nn.functional.affine_grid(torch.eye(2, 3).repeat(2, 1, 1), [2, 1, 32, 32], align_corners=False)
+    torch.testing.assert_close(moved_inputs(inputs, still), inputs, atol=1e-4, rtol=0.0)
+    grid = motion_grid(np.random.default_rng(4), 2, 32)
+    moved = moved_inputs(inputs, grid)
+    assert set(moved[:, 7:].unique().tolist()) <= {0.0, 1.0} and not torch.equal(moved, inputs)
+    assert float((moved[:, 4:7] * moved[:, 7:8]).abs().max()) == 0.0
+    assert float((grid - still).abs().max()) < 0.5

@@ -63,10 +63,11 @@ def _filled(values: NDArray[Value], known: Bools) -> F32:
     while levels[-1][1].min() < 1.0 and levels[-1][1].size > 1:
         levels.append(_pushed(*levels[-1]))
     weighted, weight = levels[-1]
-    out = weighted / np.maximum(_per_channel(weight, weighted), _TINY)
+    out = np.asarray(weighted / np.maximum(_per_channel(weight, weighted), _TINY), dtype=np.float32)
     for weighted, weight in levels[-2::-1]:
         height, width = weight.shape
-        out = weighted + (1.0 - _per_channel(weight, weighted)) * cv2.pyrUp(out)[:height, :width]
+        coarser = np.asarray(cv2.pyrUp(out), dtype=np.float32)[:height, :width]
+        out = weighted + (np.float32(1.0) - _per_channel(weight, weighted)) * coarser
     return out
 
 

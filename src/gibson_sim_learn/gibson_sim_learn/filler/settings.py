@@ -31,6 +31,12 @@ class TrainingSettings:
     crop: int = setting(128, "Edge of a crop, a multiple of 16", unit="px", minimum=32, maximum=256)
     learning_rate: float = setting(0.001, "Peak learning rate: a warm-up, then a cosine decay to 0", minimum=1e-6, maximum=1.0)
     weight_decay: float = setting(0.001, "Weight decay of AdamW", minimum=0.0, maximum=1.0)
+    consistency: float = setting(
+        8.0,
+        "Weight of the consistency loss, which reduces flicker: difference between the images of a moved input and the moved images; 0 = none",
+        minimum=0.0,
+        maximum=100.0,
+    )
     evaluate_every: int = setting(
         1000, "Iterations between two evaluations, and between two checkpoints", minimum=1, maximum=100_000
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,6 +34,12 @@ _HOLES = 1.0
 """How much more pixels in holes count."""
 _EDGES, _SCALES = 0.5, (1, 2, 4)
 """Weight of the differences of neighbours relative to that of the pixels; sizes of the images that they are taken in."""
+HOLE = slice(7, 8)
+"""Channel of the input that marks holes."""
+_TURN, _ZOOM, _SHIFT_PX = 0.02, 0.04, 4.0
+"""Largest motion of the consistency loss: radians, share of the size, pixels."""
+_MARGIN = 8
+"""Pixels along the border that the consistency loss omits: a moved image shows other pixels there."""
 _GAINS = (0.65, 1.15)
 """Factors on each colour of a crop, for variety."""
 _REORDERED = 0.3
@@ -145,10 +152,22 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
         return scoring.score()
 
     def _loss(self, values: F32, truth: F32) -> Tensor:
-        inputs = torch.from_numpy(values).contiguous(memory_format=torch.channels_last)
+        inputs, weight = torch.from_numpy(values), self.settings.consistency
+        if not weight:
+            return loss_of(self._filled(inputs), torch.from_numpy(truth), inputs[:, HOLE])
+        some = inputs[: math.ceil(len(inputs) / 2)]
+        grid = motion_grid(self._rng, len(some), inputs.shape[-1])
+        moved = moved_inputs(some, grid)
+        images, images_of_moved = self._filled(torch.cat([inputs, moved])).split([len(inputs), len(some)])
+        inner = (..., slice(_MARGIN, -_MARGIN), slice(_MARGIN, -_MARGIN))
+        difference = loss_of(images_of_moved[inner], resampled(images[: len(some)], grid)[inner], moved[:, HOLE][inner])
+        return loss_of(images, torch.from_numpy(truth), inputs[:, HOLE]) + weight * difference
+
+    def _filled(self, inputs: Tensor) -> Tensor:
+        """Returns images (B, 3, H, W) of inputs (B, 9, H, W)."""
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._bfloat16):
-            found = self.network(inputs)
-        return loss_of(found.float(), torch.from_numpy(truth), inputs[:, 7:8])
+            images: Tensor = self.network(inputs.contiguous(memory_format=torch.channels_last))
+        return images.float()
 
     def _optimiser_step(self, loss: Tensor) -> float:
         value = super()._optimiser_step(loss)
@@ -200,6 +219,27 @@ def _example(part: Pairs, rng: np.random.Generator, side: int) -> tuple[F32, F32
     gains = rng.uniform(*_GAINS, (3, 1, 1)).astype(np.float32)
     values[0, :3] = np.minimum(values[0, order] * gains, 1.0)
     return values, np.minimum(truth[order].astype(np.float32) * (gains / np.float32(255.0)), 1.0)
+
+
+def motion_grid(rng: np.random.Generator, count: int, side: int) -> Tensor:
+    """Returns random small motions of square images as sampling grids (count, side, side, 2): rotation, zoom, shift."""
+    angle, zoom = rng.uniform(-_TURN, _TURN, count), rng.uniform(1.0 - _ZOOM, 1.0 + _ZOOM, count)
+    shift = rng.uniform(-_SHIFT_PX, _SHIFT_PX, (count, 2)) * 2.0 / side
+    cosine, sine = zoom * np.cos(angle), zoom * np.sin(angle)
+    matrices = np.stack([cosine, -sine, shift[:, 0], sine, cosine, shift[:, 1]], axis=1).reshape(count, 2, 3)
+    return functional.affine_grid(torch.from_numpy(matrices.astype(np.float32)), [count, 1, side, side], align_corners=False)
+
+
+def resampled(images: Tensor, grid: Tensor) -> Tensor:
+    """Returns images (B, C, H, W) at a sampling grid (B, H, W, 2), by bilinear interpolation."""
+    return functional.grid_sample(images, grid, mode="bilinear", padding_mode="border", align_corners=False)
+
+
+def moved_inputs(inputs: Tensor, grid: Tensor) -> Tensor:
+    """Returns inputs (B, 9, H, W) at a sampling grid; masks stay 0 or 1, and normals 0 in holes."""
+    values = resampled(inputs, grid)
+    masks = (values[:, 7:] >= 0.5).float()
+    return torch.cat([values[:, :4], values[:, 4:7] * (1.0 - masks[:, :1]), masks], dim=1)
 
 
 def loss_of(found: Tensor, truth: Tensor, hole: Tensor) -> Tensor:
