@@ -97,7 +97,7 @@ def _add_filler(kinds: Any) -> None:
     add_settings(
         train,
         TrainingSettings,
-        ("iterations", "batch", "crop", "learning_rate", "weight_decay", "evaluate_every", "seed"),
+        ("iterations", "batch", "crop", "learning_rate", "weight_decay", "consistency", "evaluate_every", "seed"),
     )
     train.set_defaults(run=run_filler_training)
     evaluate = steps.add_parser(
