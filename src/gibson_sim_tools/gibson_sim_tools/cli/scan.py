@@ -171,13 +171,13 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     return ExitCode.OK
 
 
-def level_text(T_level_scan: NDArray[np.float64] | None, turned: bool) -> str:
+def level_text(T_level_scan: NDArray[np.float64] | None, levelled: bool) -> str:
     """Returns a sentence about the tilt and the height of a scan's floor."""
     if T_level_scan is None:
         return "no level surface faces up, so there is no floor, and holes are not measured"
     tilt = math.degrees(math.acos(min(1.0, float(T_level_scan[2, 2]))))
     # The floor is the plane z = 0 of the level frame; below the origin of the scan it is at -T[2, 3].
-    if turned:
+    if levelled:
         return f"turned by {tilt:.2f} degrees: z is up and the floor is at z = 0"
     if tilt < _LEVEL_DEG:
         return f"the floor is level to {tilt:.2f} degrees, at z = {-float(T_level_scan[2, 3]) + 0.0:.3f} m"

@@ -171,8 +171,8 @@ def make_flat(folder: Path, seed: int = 1) -> None:
     """Writes the flat: scene.yaml, assets, LICENSE."""
     (folder / "assets" / "textures").mkdir(parents=True, exist_ok=True)
     flat = _Flat(folder, seed)
-    placed = furniture.furnish(flat.texture, flat.rng)
-    for piece in placed:
+    pieces = furniture.furnish(flat.texture, flat.rng)
+    for piece in pieces:
         if piece.solid is not None:
             flat.add(piece.name, piece.solid, piece.semantic_class, xy=piece.xy, yaw_deg=piece.yaw_deg, collision=piece.collision)
         else:
@@ -180,7 +180,7 @@ def make_flat(folder: Path, seed: int = 1) -> None:
                 piece.name, piece.mesh, piece.semantic_class, xy=piece.xy, yaw_deg=piece.yaw_deg, collision=piece.collision
             )
     _add_walls(flat)
-    _add_floors(flat, [p.footprint for p in placed if p.footprint])
+    _add_floors(flat, [p.footprint for p in pieces if p.footprint])
     _add_frames(flat)
     description = {
         "name": "flat",

@@ -169,11 +169,11 @@ def _pictures(save: SaveTexture, rng: MakeRng, p: _Materials) -> list[FlatPiece]
     return pieces
 
 
-def _legs(solid: MeshBuilder, material: MeshMaterial, half: tuple[float, float], height: float, thick: float = 0.05) -> None:
+def _legs(solid: MeshBuilder, material: MeshMaterial, half: tuple[float, float], height: float, thickness: float = 0.05) -> None:
     for sx in (-1, 1):
         for sy in (-1, 1):
-            x, y = sx * (half[0] - thick), sy * (half[1] - thick)
-            solid.box((x - thick / 2, y - thick / 2, 0.0), (x + thick / 2, y + thick / 2, height), material)
+            x, y = sx * (half[0] - thickness), sy * (half[1] - thickness)
+            solid.box((x - thickness / 2, y - thickness / 2, 0.0), (x + thickness / 2, y + thickness / 2, height), material)
 
 
 def _table(material: MeshMaterial, width: float, depth: float, height: float) -> MeshBuilder:

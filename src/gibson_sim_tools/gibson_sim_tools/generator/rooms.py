@@ -210,9 +210,9 @@ def _grid_triangles(n_u: int, n_v: int, rng: np.random.Generator) -> I64:
     """Returns two counter-clockwise triangles per cell, (2 cells, 3), with random diagonals."""
     corner = (np.arange(n_u - 1)[:, None] * n_v + np.arange(n_v - 1)).ravel()
     a, b, c, d = corner, corner + n_v, corner + n_v + 1, corner + 1
-    one = np.stack([a, b, c, a, c, d], axis=1)
-    other = np.stack([a, b, d, b, c, d], axis=1)
-    return np.where(rng.random(len(corner))[:, None] < 0.5, one, other).reshape(-1, 3)
+    diagonal_ac = np.stack([a, b, c, a, c, d], axis=1)
+    diagonal_bd = np.stack([a, b, d, b, c, d], axis=1)
+    return np.where(rng.random(len(corner))[:, None] < 0.5, diagonal_ac, diagonal_bd).reshape(-1, 3)
 
 
 def wobble(points: ArrayLike, seed: int, length: float) -> F64:
@@ -270,25 +270,25 @@ def _door_reveals(door: Doorway) -> Iterator[Sheet]:
     """Yields both sides and the top of a doorway."""
     white = (0.90, 0.89, 0.86)
     through, along, up = np.eye(3)[door.axis], np.eye(3)[1 - door.axis], np.eye(3)[2]
-    deep, top = (0.0, 2 * HALF_WALL), DOOR_HEIGHT + _WALL_EXTENSION
+    depth_interval, top = (0.0, 2 * HALF_WALL), DOOR_HEIGHT + _WALL_EXTENSION
     for side in (-1.0, 1.0):
         base = along * (door.middle + side * DOOR_WIDTH / 2) - up * _WALL_EXTENSION
         # u x v must point into the doorway.
         forward = -side * float(np.linalg.det(np.stack([through, up, along])))
         origin = base + through * (door.at - forward * HALF_WALL)
         yield Sheet(
-            AtlasFace("walls", "wall", (deep[1], top), "plaster", white),
+            AtlasFace("walls", "wall", (depth_interval[1], top), "plaster", white),
             origin,
             forward * through,
             up,
-            deep,
+            depth_interval,
             (0.0, top),
             rough=0.0,
         )
-    span = (0.0, DOOR_WIDTH)
+    width_interval = (0.0, DOOR_WIDTH)
     origin = along * (door.middle - DOOR_WIDTH / 2) + up * DOOR_HEIGHT
     first, second = (along, through) if np.linalg.det(np.stack([along, through, up])) < 0 else (through, along)
-    breaks = (span, deep) if first is along else (deep, span)
+    breaks = (width_interval, depth_interval) if first is along else (depth_interval, width_interval)
     face = AtlasFace("walls", "wall", (breaks[0][1], breaks[1][1]), "plaster", white)
     yield Sheet(face, origin + through * (door.at - HALF_WALL), first, second, *breaks, rough=0.0)
 

@@ -155,12 +155,12 @@ def book_spines(rng: np.random.Generator, height: int = 96, width: int = 256) ->
     out = np.full((height, width, 3), 0.1)
     x = 0
     while x < width - 4:
-        thick, tall = int(rng.integers(6, 15)), int(rng.integers(int(height * 0.7), height))
+        width_px, height_px = int(rng.integers(6, 15)), int(rng.integers(int(height * 0.7), height))
         color = rng.uniform(0.12, 0.75, 3) * np.array([1.0, 0.85, 0.75])
-        column = 1.0 - 0.35 * np.abs(np.linspace(-1, 1, thick)) ** 2
-        end = min(width, x + thick)
-        out[height - tall :, x:end] = (color * column[:, None])[: end - x]
-        band = height - tall + int(rng.integers(8, max(9, tall // 2)))
+        column = 1.0 - 0.35 * np.abs(np.linspace(-1, 1, width_px)) ** 2
+        end = min(width, x + width_px)
+        out[height - height_px :, x:end] = (color * column[:, None])[: end - x]
+        band = height - height_px + int(rng.integers(8, max(9, height_px // 2)))
         out[band : band + 3, x:end] = np.clip(color * 1.8, 0, 1)
-        x += thick
+        x += width_px
     return _image(out)

@@ -36,20 +36,20 @@ def clearances(corners: ArrayLike, places: ArrayLike, low: float, high: float, *
     out = np.full(len(points), reach)
     first, last = polygons.min(axis=1), polygons.max(axis=1)
     for number, point in enumerate(points):
-        near = ((first < point + reach) & (last > point - reach)).all(axis=1)
-        if near.any():
-            out[number] = min(reach, float(_distances(polygons[near], point).min()))
+        is_near = ((first < point + reach) & (last > point - reach)).all(axis=1)
+        if is_near.any():
+            out[number] = min(reach, float(_distances(polygons[is_near], point).min()))
     return out
 
 
 def _distances(polygons: F64, point: F64) -> F64:
     """Returns the distances (P,) from a point (2,) to convex polygons (P, K, 2) with repeated corners; 0 inside a polygon."""
     edges = np.roll(polygons, -1, axis=1) - polygons
-    to = point - polygons
+    offsets = point - polygons
     length = np.einsum("pki,pki->pk", edges, edges)
-    along = np.clip(np.einsum("pki,pki->pk", to, edges) / np.maximum(length, 1e-30), 0.0, 1.0)
-    distance = np.linalg.norm(to - along[:, :, None] * edges, axis=2).min(axis=1)
-    side = edges[:, :, 0] * to[:, :, 1] - edges[:, :, 1] * to[:, :, 0]
+    t = np.clip(np.einsum("pki,pki->pk", offsets, edges) / np.maximum(length, 1e-30), 0.0, 1.0)
+    distance = np.linalg.norm(offsets - t[:, :, None] * edges, axis=2).min(axis=1)
+    side = edges[:, :, 0] * offsets[:, :, 1] - edges[:, :, 1] * offsets[:, :, 0]
     inside = ((side >= 0).all(axis=1) | (side <= 0).all(axis=1)) & (np.abs(side).max(axis=1) > 0)
     return np.asarray(np.where(inside, 0.0, distance))
 
@@ -118,7 +118,7 @@ def _check_floor_heights(scene: SceneSpec) -> Iterator[str]:
     if not path.is_file():
         return
     try:
-        heights = sorted(float(word) for word in path.read_text(encoding="utf-8").split())
+        heights = sorted(float(number) for number in path.read_text(encoding="utf-8").split())
     except (OSError, UnicodeDecodeError, ValueError) as error:
         yield f"{FLOORS}: cannot be read: {error}"
         return

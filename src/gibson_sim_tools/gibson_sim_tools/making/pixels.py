@@ -50,13 +50,13 @@ def fill_gaps_mirrored(image: F32, covered: NDArray[np.bool_]) -> F32:
 
     The gaps are then as noisy as the charts, so that the denoiser sees no edge. Pixels far from all charts are filled by ``fill_gaps``.
     """
-    rows, columns, found = _nearest(covered)
+    rows, columns, is_found = _nearest(covered)
     height, width = covered.shape
     y, x = np.mgrid[:height, :width]
     mirror_y, mirror_x = np.clip(2 * rows - y, 0, height - 1), np.clip(2 * columns - x, 0, width - 1)
     is_covered = covered[mirror_y, mirror_x]
     nearby = image[np.where(is_covered, mirror_y, rows), np.where(is_covered, mirror_x, columns)]
-    result = np.where(covered[..., None], image, np.where(found[..., None], nearby, fill_gaps(image, covered)))
+    result = np.where(covered[..., None], image, np.where(is_found[..., None], nearby, fill_gaps(image, covered)))
     return np.asarray(result, dtype=np.float32)
 
 
@@ -66,20 +66,20 @@ def _nearest(covered: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.
     Rong, Tan, "Jump Flooding in GPU with Applications to Voronoi Diagram and Distance Transform", I3D 2006.
     """
     y, x = np.mgrid[: covered.shape[0], : covered.shape[1]].astype(np.int32)
-    rows, columns, found = y.copy(), x.copy(), covered.copy()
+    rows, columns, is_found = y.copy(), x.copy(), covered.copy()
     step = min(_SEARCH_RADIUS, *(n - 1 for n in covered.shape))
     while step:
         for j, i in ((j, i) for j in (-step, 0, step) for i in (-step, 0, step) if j or i):
             pixels, neighbours = _overlap(j, i, covered.shape)
-            r, c, neighbour_found = rows[neighbours], columns[neighbours], found[neighbours]
+            r, c, neighbour_found = rows[neighbours], columns[neighbours], is_found[neighbours]
             new_distance = (r - y[pixels]) ** 2 + (c - x[pixels]) ** 2
             old_distance = (rows[pixels] - y[pixels]) ** 2 + (columns[pixels] - x[pixels]) ** 2
-            is_nearer = neighbour_found & (~found[pixels] | (new_distance < old_distance))
+            is_nearer = neighbour_found & (~is_found[pixels] | (new_distance < old_distance))
             rows[pixels] = np.where(is_nearer, r, rows[pixels])
             columns[pixels] = np.where(is_nearer, c, columns[pixels])
-            found[pixels] |= is_nearer
+            is_found[pixels] |= is_nearer
         step //= 2
-    return rows, columns, found
+    return rows, columns, is_found
 
 
 def _overlap(j: int, i: int, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
@@ -100,8 +100,8 @@ def hidden_texels(openness: F32, covered: NDArray[np.bool_]) -> NDArray[np.bool_
     """
     closed = covered & (openness <= _MAX_CLOSED_OPENNESS)
     runs = np.pad(_long_runs(closed, 0) | _long_runs(closed, 1), 1)
-    beside = runs[:-2, 1:-1] | runs[2:, 1:-1] | runs[1:-1, :-2] | runs[1:-1, 2:]
-    return np.asarray((runs[1:-1, 1:-1] | beside) & covered)
+    has_run_neighbour = runs[:-2, 1:-1] | runs[2:, 1:-1] | runs[1:-1, :-2] | runs[1:-1, 2:]
+    return np.asarray((runs[1:-1, 1:-1] | has_run_neighbour) & covered)
 
 
 def _long_runs(mask: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:

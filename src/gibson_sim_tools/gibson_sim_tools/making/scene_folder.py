@@ -100,16 +100,16 @@ def _write_atlases(mesh: dict[str, NDArray[Any]], work: Path, assets: Path, atla
             draw_reflection(image, uv, reflected)
         sample = np.flatnonzero(color[..., 3] > 0.5)[:: max(1, image[..., 0].size // 50_000)]
         images.append((k, image, image.reshape(-1, 3)[sample], color[..., :3].reshape(-1, 3)[sample]))
-    exposure = exposure_factors([seen for _, _, seen, _ in images])
+    exposure = exposure_factors([sampled for _, _, sampled, _ in images])
     for k, image, _, _ in images:
         _write_image(assets / f"atlas_{k}.jpg", tone_map(image * exposure)[::-1], quality.jpeg)
-    white = [_white_brightness(linear_from_srgb(tone_map(seen * exposure) / 255), colors) for _, _, seen, colors in images]
+    white = [_white_brightness(linear_from_srgb(tone_map(sampled * exposure) / 255), colors) for _, _, sampled, colors in images]
     return float(np.median(np.concatenate(white)))
 
 
-def _white_brightness(shown: NDArray[np.float64], colors: F32) -> NDArray[np.float64]:
+def _white_brightness(lit: NDArray[np.float64], colors: F32) -> NDArray[np.float64]:
     """Returns the brightness that white would have, at the pixels (N, 3) that are neither dark nor in shadow."""
-    reflectance, brightness = colors.mean(axis=1), shown.mean(axis=1)
+    reflectance, brightness = colors.mean(axis=1), lit.mean(axis=1)
     return np.asarray((brightness / np.maximum(reflectance, 1e-6))[(reflectance > 0.2) & (brightness > 0.05)])
 
 
@@ -198,10 +198,10 @@ def _write_objects(mesh: dict[str, NDArray[Any]], assets: Path) -> list[dict[str
     return objects
 
 
-def _patches(mesh: dict[str, NDArray[Any]], chosen: NDArray[np.int64]) -> Iterable[Patch]:
-    atlas = mesh["atlas"][chosen]
+def _patches(mesh: dict[str, NDArray[Any]], object_rows: NDArray[np.int64]) -> Iterable[Patch]:
+    atlas = mesh["atlas"][object_rows]
     for k in sorted(set(atlas.tolist())):
-        rows = chosen[atlas == k]
+        rows = object_rows[atlas == k]
         if k >= 0:
             yield Patch(BakedMaterial(f"atlas_{k}.jpg"), mesh["corners"][rows].astype(float), mesh["uv"][rows].astype(float))
             continue

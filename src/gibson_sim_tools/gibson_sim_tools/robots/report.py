@@ -133,10 +133,10 @@ def _drive_line(drive: DriveTest) -> str:
         turned, moved = math.degrees(yaw), math.hypot(x, y) * 1000
         error = turned - math.degrees(drive.commanded.yaw)
         return f"{drive.name}: {turned:.2f} degrees ({round(error, 2) + 0.0:+.2f}), {moved:.1f} mm off its place; slip {_percent(drive.slip)}; {tilt}"
-    ahead = np.array(drive.commanded[:2]) / np.hypot(*drive.commanded[:2])
-    distance, aside = float(ahead @ (x, y)), float(ahead[0] * y - ahead[1] * x)
+    forward = np.array(drive.commanded[:2]) / np.hypot(*drive.commanded[:2])
+    distance, lateral = float(forward @ (x, y)), float(forward[0] * y - forward[1] * x)
     error = distance - math.hypot(*drive.commanded[:2])
-    drift = f"{abs(aside) * 1000:.1f} mm to the {'left' if aside >= 0 else 'right'}"
+    drift = f"{abs(lateral) * 1000:.1f} mm to the {'left' if lateral >= 0 else 'right'}"
     heading = f"heading {round(math.degrees(yaw), 2) + 0.0:+.2f} degrees"
     return f"{drive.name}: {distance:.4f} m ({round(error * 1000, 1) + 0.0:+.1f} mm), {drift}, {heading}; slip {_percent(drive.slip)}; {tilt}"
 
@@ -205,22 +205,22 @@ def _stability_by_hand(trial: RobotTrial) -> list[str]:
     if stability.margin <= 0.0 or stability.center_of_mass[2] <= 0.0:
         lines.append(f"{_MISPLACED}; correct masses and origins in the description")
     elif robot.drive is not None:
-        least = min(stability.tipping_acceleration((1.0, 0.0)), stability.tipping_acceleration((-1.0, 0.0)))
-        if least < _MIN_ACCELERATION:
+        tipping = min(stability.tipping_acceleration((1.0, 0.0)), stability.tipping_acceleration((-1.0, 0.0)))
+        if tipping < _MIN_ACCELERATION:
             lines.append(
                 "it nearly tips over at rest: its centre of mass is above an edge of its support; correct masses and origins, or move a caster"
             )
-        elif least < robot.drive.max_linear_acceleration:
+        elif tipping < robot.drive.max_linear_acceleration:
             lines.append(
-                f"drive.max_linear_acceleration: {_SAFETY_FACTOR * least:.2g} instead of {robot.drive.max_linear_acceleration:g} m/s^2, at which "
+                f"drive.max_linear_acceleration: {_SAFETY_FACTOR * tipping:.2g} instead of {robot.drive.max_linear_acceleration:g} m/s^2, at which "
                 "it tips; or correct the masses in the description"
             )
     sides = stability.support[:, 1].min(), stability.support[:, 1].max()
-    aside = float(stability.center_of_mass[1]) - (sides[0] + sides[1]) / 2
-    if abs(aside) > _OFF_CENTRE * (sides[1] - sides[0]):
-        side = "left" if aside > 0 else "right"
+    offset = float(stability.center_of_mass[1]) - (sides[0] + sides[1]) / 2
+    if abs(offset) > _OFF_CENTRE * (sides[1] - sides[0]):
+        side = "left" if offset > 0 else "right"
         lines.append(
-            f"masses: the centre of mass is {abs(aside) * 1000:.0f} mm to the {side} of the middle; compare it with the robot"
+            f"masses: the centre of mass is {abs(offset) * 1000:.0f} mm to the {side} of the middle; compare it with the robot"
         )
     if trial.drift > _DRIFT:
         lines.append(f"it moves {trial.drift * 1000:.0f} mm by itself; check the heights of wheels and casters (wheel_drop)")

@@ -28,7 +28,7 @@ def test_a_sharp_box_has_its_volume_and_a_rounded_one_a_little_less() -> None:
 
 
 def test_a_tube_has_the_volume_of_a_cylinder_and_stands_where_it_is_put() -> None:
-    solid = tube([(-0.5, 0.2), (0.5, 0.2)], "shell").placed((1.0, 0.0, 0.0), (0.0, math.pi / 2, 0.0))
+    solid = tube([(-0.5, 0.2), (0.5, 0.2)], "shell").transformed((1.0, 0.0, 0.0), (0.0, math.pi / 2, 0.0))
     assert volume(solid) == pytest.approx(math.pi * 0.04, rel=0.02)
     assert np.ptp(solid.vertices, axis=0) == pytest.approx([1.0, 0.4, 0.4], abs=1e-3)
     assert solid.vertices.mean(axis=0) == pytest.approx([1.0, 0.0, 0.0], abs=1e-3)

@@ -241,8 +241,11 @@ def _floor(scene: SceneSpec, geometry: DrawnGeometry, facts: SceneFacts) -> Iter
     for z in scene.floors:
         if scene.ground_z is not None and abs(scene.ground_z - z) <= FLOOR_TOLERANCE:
             continue
-        near = (np.abs(heights - z) <= FLOOR_TOLERANCE).all(axis=1) & (np.abs(normals[:, 2]) > 0.95)
-        up, down = float(areas[near & (normals[:, 2] > 0)].sum()), float(areas[near & (normals[:, 2] < 0)].sum())
+        is_level_near = (np.abs(heights - z) <= FLOOR_TOLERANCE).all(axis=1) & (np.abs(normals[:, 2]) > 0.95)
+        up, down = (
+            float(areas[is_level_near & (normals[:, 2] > 0)].sum()),
+            float(areas[is_level_near & (normals[:, 2] < 0)].sum()),
+        )
         if up + down < _MIN_FLOOR_AREA:
             text = f"no floor at z = {z:.2f} m: {up + down:.2f} m^2 of level surface at that height"
             yield SceneFinding(

@@ -111,8 +111,8 @@ def _classes_text(classes: dict[str, int]) -> str:
     if not classes:
         return "none"
     ordered = sorted(classes.items(), key=lambda item: (-item[1], item[0]))
-    shown = ", ".join(f"{name} {count}" if count > 1 else name for name, count in ordered[:_MAX_LISTED])
-    return shown + (f" and {len(ordered) - _MAX_LISTED} more" if len(ordered) > _MAX_LISTED else "")
+    listed = ", ".join(f"{name} {count}" if count > 1 else name for name, count in ordered[:_MAX_LISTED])
+    return listed + (f" and {len(ordered) - _MAX_LISTED} more" if len(ordered) > _MAX_LISTED else "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +135,8 @@ def scene_geometry(scene: SceneSpec) -> DrawnGeometry:
     """
     loader = MeshLoader(scene_roots(scene), textures="sizes")
     meshes = tuple((v, loader.shape(v.shape)) for v in scene.visuals)
-    placed = [(transform_points(matrix_from_pose(v.pose), m.merged()[0]), m.merged()[1]) for v, m in meshes]
-    vertices, triangles = merge(placed)
+    world_meshes = [(transform_points(matrix_from_pose(v.pose), m.merged()[0]), m.merged()[1]) for v, m in meshes]
+    vertices, triangles = merge(world_meshes)
     return DrawnGeometry(meshes, vertices, triangles)
 
 

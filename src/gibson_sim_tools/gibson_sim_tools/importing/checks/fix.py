@@ -134,13 +134,13 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
     matrix[:3, :3] *= fix.unit_m or 1.0
     textures = _Textures(fix.max_texture)
     out = ImportedScene(scene.name, "repaired scene", scene.root)
-    moved = not np.allclose(matrix, np.eye(4), atol=1e-6)
+    is_transformed = not np.allclose(matrix, np.eye(4), atol=1e-6)
     if matrix[2, 2] >= np.cos(np.radians(ON_ITS_SIDE_DEG)) * (fix.unit_m or 1.0):
         # Floor heights and rooms of a scene on its side are meaningless.
         out.floors, out.ground_z, out.rooms = (
-            (scene.floors, scene.ground_z, scene.rooms) if not moved else _transformed_floors(report, matrix)
+            (scene.floors, scene.ground_z, scene.rooms) if not is_transformed else _transformed_floors(report, matrix)
         )
-        if moved and scene.floor_estimated:
+        if is_transformed and scene.floor_estimated:
             # Floor heights estimated in a tilted scene are wrong; loading the repaired scene estimates them again.
             out.floors = ()
     out.light, out.gravity = light_document(scene.light), None if scene.gravity == (0.0, 0.0, -9.81) else scene.gravity
@@ -161,7 +161,7 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
         shutil.rmtree(output, ignore_errors=True)
         raise SceneError(
             f"nothing was written: a repaired copy of {quoted(scene.name)} would be worse than it is: {'; '.join(worse)}"
-            + ("; --no-level keeps its orientation, --up gives the up direction" if moved else "")
+            + ("; --no-level keeps its orientation, --up gives the up direction" if is_transformed else "")
         )
     return file, report_after
 
@@ -282,9 +282,9 @@ def _align_splats_of_copy(report: SceneReport, file: Path) -> SceneReport:
 
 
 def _start(name: str, pose: Pose, matrix: F64) -> dict[str, object]:
-    at = matrix @ matrix_from_pose(pose)
-    yaw = float(np.degrees(np.arctan2(at[1, 0], at[0, 0])))
-    return {"name": name, "xyz": [round(float(c), 6) for c in at[:3, 3]], "yaw_deg": round(yaw, 4)}
+    T_out_start = matrix @ matrix_from_pose(pose)
+    yaw = float(np.degrees(np.arctan2(T_out_start[1, 0], T_out_start[0, 0])))
+    return {"name": name, "xyz": [round(float(c), 6) for c in T_out_start[:3, 3]], "yaw_deg": round(yaw, 4)}
 
 
 def _repaired_objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Sequence[ImportedObject]:
@@ -321,10 +321,10 @@ def _repaired(loader: MeshLoader, shape: Shape, matrix: F64, textures: _Textures
     parts = []
     for part, flat, inverted in zip(mesh.parts, np.split(faults.degenerate, ends), np.split(faults.inverted, ends), strict=True):
         flipped = _flip_triangles(part, inverted)
-        kept = select_triangles(flipped, ~flat) if flat.any() else flipped
-        if not len(kept.triangles):
+        valid = select_triangles(flipped, ~flat) if flat.any() else flipped
+        if not len(valid.triangles):
             continue
-        plain = replace(kept, uvs=None, colors=None, material=Material()) if textures is None else kept
+        plain = replace(valid, uvs=None, colors=None, material=Material()) if textures is None else valid
         parts.append(plain if textures is None else replace(plain, material=textures.material(plain.material, loader)))
     return Mesh(tuple(parts)).transformed(matrix)
 

@@ -173,12 +173,12 @@ def refine_up(vertices: F64, triangles: NDArray[np.integer], up: Sequence[float]
         triangles: (F, 3).
         up: approximate up direction, not zero, frame of the mesh.
     """
-    given = np.asarray(up, dtype=np.float64)
-    given = given / np.linalg.norm(given)
+    initial = np.asarray(up, dtype=np.float64)
+    initial = initial / np.linalg.norm(initial)
     patches = _patches(vertices, triangles)
-    normal = given if patches is None else level_direction(patches, given)[0]
-    is_near = float(normal @ given) > math.cos(math.radians(_NEAR_GIVEN_DEG))
-    x, y, z = (normal if is_near else given).tolist()
+    normal = initial if patches is None else level_direction(patches, initial)[0]
+    is_near = float(normal @ initial) > math.cos(math.radians(_NEAR_GIVEN_DEG))
+    x, y, z = (normal if is_near else initial).tolist()
     return x, y, z
 
 

@@ -36,12 +36,14 @@ def islands(floor: FloorMap, radius: float) -> tuple[float, ...]:
     areas[0] = 0.0
     largest = int(areas.argmax())
     unknown = ~(floor.floor | floor.occupied)
-    near = ndimage.distance_transform_edt(~floor.free) * floor.resolution <= REACH
-    passable = np.pad(floor.free | (unknown & near), 1, constant_values=False)
+    is_near_scan = ndimage.distance_transform_edt(~floor.free) * floor.resolution <= REACH
+    passable = np.pad(floor.free | (unknown & is_near_scan), 1, constant_values=False)
     clearance = ndimage.distance_transform_edt(passable)[1:-1, 1:-1] * floor.resolution
-    joined, _ = ndimage.label(free_cells | (clearance >= radius + floor.resolution * math.sqrt(0.5)))
-    main_label = joined[labels == largest][0]
+    joined_labels, _ = ndimage.label(free_cells | (clearance >= radius + floor.resolution * math.sqrt(0.5)))
+    main_label = joined_labels[labels == largest][0]
     cut_off = [
-        k for k in range(1, count + 1) if k != largest and areas[k] >= _MIN_AREA and (joined[labels == k] == main_label).any()
+        k
+        for k in range(1, count + 1)
+        if k != largest and areas[k] >= _MIN_AREA and (joined_labels[labels == k] == main_label).any()
     ]
     return tuple(float(areas[k]) for k in [largest, *sorted(cut_off, key=lambda k: -areas[k])]) if cut_off else ()

@@ -209,11 +209,11 @@ def _cloud(positions: F64, rng: np.random.Generator) -> _Cloud:
         count = len(np.unique(np.floor(positions / cell), axis=0))
         fine, coarse = (cell, coarse) if count > _CLOUD_POINTS else (fine, cell)
     _, first = np.unique(np.floor(positions / coarse), axis=0, return_index=True)
-    chosen = positions[first]
-    _, neighbours = cKDTree(positions).query(chosen, k=min(_NEIGHBOURS, len(positions)))
+    selected = positions[first]
+    _, neighbours = cKDTree(positions).query(selected, k=min(_NEIGHBOURS, len(positions)))
     centered = positions[neighbours] - positions[neighbours].mean(axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centered, centered))
-    return _Cloud(chosen, vectors[:, :, 0])
+    return _Cloud(selected, vectors[:, :, 0])
 
 
 def _up_candidates(normals: F64) -> list[F64]:
@@ -311,11 +311,11 @@ class _FloorPlan:
         correlation = fft.irfft(fft.rfft(_heading_histogram(normals)) * self._headings, n=_HEADING_BINS)
         peaks: list[int] = []
         for index in np.argsort(-correlation, kind="stable"):
-            apart = (
+            differences = (
                 abs((int(index) - other + _HEADING_BINS // 2) % _HEADING_BINS - _HEADING_BINS // 2) * 180.0 / _HEADING_BINS
                 for other in peaks
             )
-            if all(angle >= _YAW_SEPARATION_DEG for angle in apart):
+            if all(angle >= _YAW_SEPARATION_DEG for angle in differences):
                 peaks.append(int(index))
                 if len(peaks) == _YAWS:
                     break

@@ -156,8 +156,8 @@ def _rug(g: Graph) -> Socket:
     ornament = g.math("MAXIMUM", border, g.math("MULTIPLY", inner, has_diamonds))
     wear = g.noise(g.coords, 5.0, 4.0)
     color = g.mix(g.math("MULTIPLY", ornament, g.map_range(wear, 0.3, 0.6, 0.5, 0.9)), g.tint, (0.62, 0.56, 0.46))
-    fine = g.noise(g.coords, 220.0, 2.0)
-    return g.scale_color(color, g.map_range(fine, 0.25, 0.75, 0.84, 1.12))
+    fibres = g.noise(g.coords, 220.0, 2.0)
+    return g.scale_color(color, g.map_range(fibres, 0.25, 0.75, 0.84, 1.12))
 
 
 def _art(g: Graph) -> Socket:

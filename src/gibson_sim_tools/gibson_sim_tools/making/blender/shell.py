@@ -214,13 +214,13 @@ def _add_slab_boxes(solid: ObjectBuilder, polygon: F64, holes: list[tuple[Point,
         solid.collide((x0, y0, z - 0.2), (x1, y1, z))
 
 
-def offset_polygon(polygon: F64, by: float) -> F64:
-    """Returns a counter-clockwise polygon, (N, 2), with its sides moved outwards. ``by``: m."""
+def offset_polygon(polygon: F64, distance: float) -> F64:
+    """Returns a counter-clockwise polygon, (N, 2), with its sides moved outwards by ``distance``, m."""
     sides = np.roll(polygon, -1, axis=0) - polygon
     outward = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1, keepdims=True)
     previous = np.roll(outward, 1, axis=0)
     straight = np.abs(np.sum(previous * outward, axis=1, keepdims=True)) > 0.5
-    return np.asarray(polygon + by * np.where(straight, outward, previous + outward))
+    return np.asarray(polygon + distance * np.where(straight, outward, previous + outward))
 
 
 def _add_wall(solid: ObjectBuilder, wall: Wall, storey: Storey, rooms: dict[str, Room], insets: dict[str, F64]) -> None:

@@ -89,14 +89,14 @@ def _window() -> ObjectModel:
     )  # fmt: skip
 
 
-def _rim(x0: float, x1: float, z0: float, z1: float, wide: float, half_depth: float) -> tuple[Primitive, ...]:
+def _rim(x0: float, x1: float, z0: float, z1: float, width: float, half_depth: float) -> tuple[Primitive, ...]:
     """Returns the four sides of an upright frame."""
     d = half_depth
     return (
-        box((x0, -d, z0), (x0 + wide, d, z1)),
-        box((x1 - wide, -d, z0), (x1, d, z1)),
-        box((x0 + wide, -d, z0), (x1 - wide, d, z0 + wide)),
-        box((x0 + wide, -d, z1 - wide), (x1 - wide, d, z1)),
+        box((x0, -d, z0), (x0 + width, d, z1)),
+        box((x1 - width, -d, z0), (x1, d, z1)),
+        box((x0 + width, -d, z0), (x1 - width, d, z0 + width)),
+        box((x0 + width, -d, z1 - width), (x1 - width, d, z1)),
     )
 
 

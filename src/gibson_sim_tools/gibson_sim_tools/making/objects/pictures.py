@@ -180,9 +180,14 @@ def _cereal() -> Rgb:
     c.disc(0.312, 0.72, 0.2, (250, 250, 250))
     c.disc(0.312, 0.70, 0.17, (238, 226, 204))
     rng = np.random.default_rng(4)
-    for angle, far in zip(rng.uniform(0, 2 * np.pi, 70), np.sqrt(rng.uniform(0, 1, 70)), strict=True):
+    for angle, distance in zip(rng.uniform(0, 2 * np.pi, 70), np.sqrt(rng.uniform(0, 1, 70)), strict=True):
         tone = int(rng.integers(-18, 18))
-        c.disc(0.312 + 0.165 * far * np.cos(angle), 0.70 + 0.145 * far * np.sin(angle), 0.02, (206 + tone, 138 + tone, 56 + tone))
+        c.disc(
+            0.312 + 0.165 * distance * np.cos(angle),
+            0.70 + 0.145 * distance * np.sin(angle),
+            0.02,
+            (206 + tone, 138 + tone, 56 + tone),
+        )
     c.text("500 g", 0.52, 0.95, 0.03, _DARK, 0.14)
     c.rectangle(0.625, 0, 1, 1, (196, 44, 36))
     c.rectangle(0.66, 0.1, 0.965, 0.8, (250, 244, 228))
@@ -232,17 +237,17 @@ def _keys(rows: int, columns: float, seed: int, body: Color, key: Color, pad: bo
     for row in range(rows):
         x = 0.025
         while x < 0.965:
-            wide = 0.95 / columns
+            key_width = 0.95 / columns
             if row == rows - 1 and 0.27 < x < 0.4:
-                wide *= 5.5
+                key_width *= 5.5
             elif x < 0.03 and row > 0:
-                wide *= 1.0 + 0.25 * row
-            end = 0.975 if x + wide * 1.6 > 0.975 else x + wide
+                key_width *= 1.0 + 0.25 * row
+            end = 0.975 if x + key_width * 1.6 > 0.975 else x + key_width
             y = 0.05 + row * high
             c.rectangle(x + 0.004, y + 0.012, end - 0.004, y + high - 0.012, key)
             shine = tuple(min(255, v + 26) for v in key)
             c.rectangle(x + 0.007, y + 0.02, end - 0.007, y + high * 0.72, shine)  # type: ignore[arg-type]
-            if end - x < wide * 1.5 and wide < 0.1:
+            if end - x < key_width * 1.5 and key_width < 0.1:
                 letter = chr(int(rng.integers(65, 91)))
                 c.text(letter, (x + end) / 2 - 0.006, y + high * 0.4, high * 0.22, (206, 206, 206), 0.12)
             x = end

@@ -10,7 +10,7 @@ from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.floor_grid import FloorGrid
 from gibson_sim_tools.making.planning.objects import SIZES, body_box, is_door
 from gibson_sim_tools.making.planning.planner import LANDING, ROBOT_RADIUS, blocked_floor, flight_rect
-from gibson_sim_tools.making.planning.rectangles import Box, Rect, around
+from gibson_sim_tools.making.planning.rectangles import Box, Rect, rotated_bounds
 from gibson_sim_tools.making.planning.rooms import RoomView, cells_of, room_view
 
 _MIN_CORRIDOR_WIDTH = 1.1
@@ -36,7 +36,7 @@ def check_building(building: Building) -> list[str]:
 
 def piece_box(piece: Piece) -> Box:
     """Returns the axis-aligned bounding box of a piece, in the frame of the scene, shrunk by the tolerance."""
-    rect = around((piece.position[0], piece.position[1]), piece.yaw, piece.size[0], piece.size[1])
+    rect = rotated_bounds((piece.position[0], piece.position[1]), piece.yaw, piece.size[0], piece.size[1])
     return Box(
         rect.grown(-_TOLERANCE / 2), piece.position[2] + _TOLERANCE / 2, piece.position[2] + piece.size[2] - _TOLERANCE / 2
     )
@@ -104,7 +104,7 @@ def _check_overlaps(building: Building) -> Iterator[str]:
     for body in building.bodies:
         box = body_box(body)
         boxes.append((body.name, Box(box.rect.grown(-_TOLERANCE / 2), box.z0 + _TOLERANCE / 2, box.z1 - _TOLERANCE / 2)))
-    boxes.sort(key=lambda thing: thing[1].rect.x0)
+    boxes.sort(key=lambda entry: entry[1].rect.x0)
     for index, (name, box) in enumerate(boxes):
         for other_name, other in boxes[index + 1 :]:
             if other.rect.x0 > box.rect.x1:
@@ -161,8 +161,8 @@ def _check_placement(building: Building, number: int, views: dict[str, RoomView]
 def _supports(piece: Piece, position: tuple[float, float, float], rect: Rect) -> bool:
     """Returns whether a footprint at a position is entirely on top of a piece."""
     on_top = abs(piece.position[2] + piece.size[2] - position[2]) < _TOLERANCE
-    below = piece_box(piece).rect.grown(_TOLERANCE)
-    return on_top and rect.shared(below) >= rect.area - 1e-6
+    top = piece_box(piece).rect.grown(_TOLERANCE)
+    return on_top and rect.overlap_area(top) >= rect.area - 1e-6
 
 
 def _has_wall_behind(piece: Piece, view: RoomView, others: list[Piece]) -> bool:
@@ -228,7 +228,7 @@ def _check_bodies(building: Building, number: int, storey: Storey) -> Iterator[s
         if is_door(body) or _storey_of(building, body.position[2]) != number:
             continue
         rect = body_box(body).rect
-        if not any(sum(rect.shared(c) for c in cs) >= rect.area - 1e-5 for cs in cells.values()):
+        if not any(sum(rect.overlap_area(c) for c in cs) >= rect.area - 1e-5 for cs in cells.values()):
             yield f"{body.name} is outside all rooms"
         if abs(body.position[2] - storey.floor_z) > _TOLERANCE and not any(_supports(p, body.position, rect) for p in pieces):
             yield f"{body.name} floats"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gibson_sim_tools.making.building import Building, Point
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.objects import SIZES, is_door, leaf_corners
-from gibson_sim_tools.making.planning.rectangles import spanning
+from gibson_sim_tools.making.planning.rectangles import bounding_rect
 from gibson_sim_tools.making.planning.rooms import wall_rect
 
 _SCALE = 90.0
@@ -47,7 +47,7 @@ class _StoreyDrawing:
         self._building = building
         self._number = storey
         self._storey = building.storeys[storey]
-        self._bounds = spanning(c for s in building.storeys for r in s.rooms for c in r.corners).grown(_MARGIN)
+        self._bounds = bounding_rect(c for s in building.storeys for r in s.rooms for c in r.corners).grown(_MARGIN)
         shape = (math.ceil(self._bounds.depth * _SCALE), math.ceil(self._bounds.width * _SCALE), 3)
         self._image = np.full(shape, 250, np.uint8)
 
@@ -60,7 +60,7 @@ class _StoreyDrawing:
         self._walls()
         self._bodies()
         for room in self._storey.rooms:
-            middle = spanning(room.corners).middle
+            middle = bounding_rect(room.corners).middle
             self._text(f"{room.name} ({room.floor}, {room.walls})", middle, (150, 30, 30), 0.42)
         for start in self._building.starts:
             if self._is_on_storey(start.position[2]):
@@ -135,8 +135,8 @@ class _StoreyDrawing:
                 self._fill(stair.hole, (120, 120, 130))
             if stair.storey == self._number:
                 for step in range(stair.steps - 1):
-                    off = (step + 0.5) * stair.tread
-                    middle = (stair.foot[0] + math.cos(stair.yaw) * off, stair.foot[1] + math.sin(stair.yaw) * off)
+                    distance = (step + 0.5) * stair.tread
+                    middle = (stair.foot[0] + math.cos(stair.yaw) * distance, stair.foot[1] + math.sin(stair.yaw) * distance)
                     shade = 235 - 6 * step
                     self._fill(
                         self._rotated_rect(middle, stair.yaw, stair.tread, stair.width), (shade, shade, shade), _OUTLINE_COLOUR

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gibson_sim_tools.making.building import Building, Point
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.objects import body_box, is_door, leaf_corners
-from gibson_sim_tools.making.planning.rectangles import Rect, around, spanning
+from gibson_sim_tools.making.planning.rectangles import Rect, bounding_rect, rotated_bounds
 from gibson_sim_tools.making.planning.rooms import RoomView
 
 _CELL_SIZE = 0.025
@@ -32,7 +32,7 @@ class FloorGrid:
     """
 
     def __init__(self, building: Building, number: int, views: dict[str, RoomView], *, with_bodies: bool) -> None:
-        bounds = spanning(c for view in views.values() for c in view.room.corners).grown(0.5)
+        bounds = bounding_rect(c for view in views.values() for c in view.room.corners).grown(0.5)
         self._x0, self._y0 = bounds.x0, bounds.y0
         self.free = np.zeros((math.ceil(bounds.depth / _CELL_SIZE), math.ceil(bounds.width / _CELL_SIZE)), np.uint8)
         for view in views.values():
@@ -51,7 +51,7 @@ class FloorGrid:
         ceiling = floor_z + building.storeys[number].height
         for piece in building.pieces:
             if piece.storey == number and CATALOGUE[piece.kind].stands != "lies" and piece.position[2] - floor_z < _HEAD_HEIGHT:
-                self._paint(around((piece.position[0], piece.position[1]), piece.yaw, piece.size[0], piece.size[1]), 0)
+                self._paint(rotated_bounds((piece.position[0], piece.position[1]), piece.yaw, piece.size[0], piece.size[1]), 0)
         for body in building.bodies if with_bodies else ():
             if not floor_z - 0.01 < body.position[2] < ceiling:
                 continue

@@ -35,8 +35,8 @@ def _sample(rng: np.random.Generator, low: float, high: float) -> float:
 
 def _connection(rng: np.random.Generator, from_room: str, to_room: str, *, near: tuple[float, float] | None = None) -> SpaceLink:
     """Returns a link that is randomly a passage or a door."""
-    wide = rng.random() < 0.6
-    return SpaceLink(from_room, to_room, "passage" if wide else "door", _sample(rng, 1.1, 1.5) if wide else 0.9, near)
+    is_passage = rng.random() < 0.6
+    return SpaceLink(from_room, to_room, "passage" if is_passage else "door", _sample(rng, 1.1, 1.5) if is_passage else 0.9, near)
 
 
 def _corridor_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from gibson_sim_tools.making.building import Point
-from gibson_sim_tools.making.planning.rectangles import Rect, spanning
+from gibson_sim_tools.making.planning.rectangles import Rect, bounding_rect
 
 OUTSIDE_THICKNESS = 0.3
 """Thickness of outside walls, m."""
@@ -78,7 +78,9 @@ class BuildingLayout:
 
     def bounds(self) -> Rect:
         """Returns the bounding rectangle of all storeys."""
-        return spanning(p for level in self.levels for s in level.spaces for r in s.rects for p in ((r.x0, r.y0), (r.x1, r.y1)))
+        return bounding_rect(
+            p for level in self.levels for s in level.spaces for r in s.rects for p in ((r.x0, r.y0), (r.x1, r.y1))
+        )
 
 
 def rect_space(name: str, kind: str, x0: float, y0: float, x1: float, y1: float) -> Space:
@@ -98,7 +100,7 @@ def random_orientation(layout: BuildingLayout, rng: np.random.Generator) -> Buil
         return (round(mapped[0], 3), round(mapped[1], 3))
 
     def rect(r: Rect) -> Rect:
-        return spanning((point((r.x0, r.y0)), point((r.x1, r.y1))))
+        return bounding_rect((point((r.x0, r.y0)), point((r.x1, r.y1))))
 
     levels = tuple(
         replace(

@@ -6,7 +6,7 @@ import math
 
 from gibson_sim.types import Vec3
 from gibson_sim_tools.making.building import Body, Opening, Point, Wall
-from gibson_sim_tools.making.planning.rectangles import Box, Rect, around, spanning
+from gibson_sim_tools.making.planning.rectangles import Box, Rect, bounding_rect, rotated_bounds
 
 SIZES: dict[str, Vec3] = {
     "bottle_water": (0.066, 0.066, 0.235),
@@ -68,7 +68,9 @@ def body_box(body: Body) -> Box:
     if is_door(body):
         return Box(leaf_rect(body), body.position[2], body.position[2] + DOOR_HEIGHT + 0.1)
     depth, width, height = SIZES[body.model]
-    return Box(around((body.position[0], body.position[1]), body.yaw, depth, width), body.position[2], body.position[2] + height)
+    return Box(
+        rotated_bounds((body.position[0], body.position[1]), body.yaw, depth, width), body.position[2], body.position[2] + height
+    )
 
 
 def leaf_corners(body: Body) -> tuple[Point, ...]:
@@ -88,7 +90,7 @@ def leaf_corners(body: Body) -> tuple[Point, ...]:
 
 def leaf_rect(body: Body) -> Rect:
     """Returns the bounding rectangle of a door leaf at its joint position."""
-    return spanning(leaf_corners(body))
+    return bounding_rect(leaf_corners(body))
 
 
 def door_model(opening_width: float, swing: int, hinge: str) -> str:

@@ -18,7 +18,7 @@ from gibson_sim_tools.making.planning.layout import BuildingLayout, Flight, Leve
 from gibson_sim_tools.making.planning.leaves import hang_doors
 from gibson_sim_tools.making.planning.materials import Palette, palette, surfaces
 from gibson_sim_tools.making.planning.openings import with_doors, with_windows
-from gibson_sim_tools.making.planning.rectangles import Rect, spanning
+from gibson_sim_tools.making.planning.rectangles import Rect, bounding_rect
 from gibson_sim_tools.making.planning.rooms import room_view
 from gibson_sim_tools.making.planning.space import FurnishedRoom, Furnishings
 from gibson_sim_tools.making.planning.walls import outline, walls_of
@@ -131,7 +131,7 @@ def _front(walls: tuple[Wall, ...]) -> Rect:
     doors = [w for w in walls if any(o.kind == "door" for o in w.openings) and "" in (w.left, w.right)]
     if not doors:
         return Rect(0.0, 0.0, 0.0, 0.0)
-    line = spanning((doors[0].start, doors[0].end))
+    line = bounding_rect((doors[0].start, doors[0].end))
     return Rect(line.x0, -1e3, line.x1, 1e3) if line.width == 0 else Rect(-1e3, line.y0, 1e3, line.y1)
 
 
@@ -148,7 +148,7 @@ def flight_rect(foot: Point, yaw: float, width: float, length: float, depth_befo
     """Returns the footprint of a flight; with ``depth_before``, the floor of this depth in front of it instead."""
     cos, sin = round(math.cos(yaw)), round(math.sin(yaw))
     start, end = (-depth_before, 0.0) if depth_before else (0.0, length)
-    return spanning(
+    return bounding_rect(
         (foot[0] + cos * at - sin * aside, foot[1] + sin * at + cos * aside)
         for at in (start, end)
         for aside in (-width / 2, width / 2)
@@ -157,7 +157,7 @@ def flight_rect(foot: Point, yaw: float, width: float, length: float, depth_befo
 
 def _blocked_in_layout(layout: BuildingLayout, number: int) -> tuple[Rect, ...]:
     """Returns the stairs and openings of a storey in a layout, which are not free floor."""
-    flights = tuple(spanning((*_edge(f, f.foot), *_edge(f, f.top))) for f in layout.flights if number == 0)
+    flights = tuple(bounding_rect((*_edge(f, f.foot), *_edge(f, f.top))) for f in layout.flights if number == 0)
     return flights + tuple(f.hole for f in layout.flights if number == 1)
 
 
@@ -224,7 +224,7 @@ def _furnish_room(
     blocked = [*_blocked_in_layout(layout, number), *(_footprint(p) for p in railings)]
     view = room_view(storey, room, blocked)
     for attempt in range(_ROOM_ATTEMPTS):
-        mark = furnishings.mark()
+        snapshot = furnishings.snapshot()
         furnished = FurnishedRoom(
             view,
             number,
@@ -238,7 +238,7 @@ def _furnish_room(
         )
         if furnish(furnished):
             return True
-        furnishings.rewind(mark)
+        furnishings.restore(snapshot)
     return False
 
 
@@ -269,5 +269,5 @@ def _start_poses(building: Building) -> tuple[Start, ...] | None:
 def blocked_floor(building: Building, number: int) -> tuple[Rect, ...]:
     """Returns the stairs and openings of a storey in a building, which are not free floor."""
     rects = [flight_rect(s.foot, s.yaw, s.width, (s.steps - 1) * s.tread) for s in building.stairs if s.storey == number]
-    rects += [spanning(s.hole) for s in building.stairs if s.storey + 1 == number]
+    rects += [bounding_rect(s.hole) for s in building.stairs if s.storey + 1 == number]
     return tuple(rects)

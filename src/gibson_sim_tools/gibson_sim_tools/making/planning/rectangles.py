@@ -54,7 +54,7 @@ class Rect(NamedTuple):
             and other.y0 < self.y1 - EPSILON
         )
 
-    def shared(self, other: Rect) -> float:
+    def overlap_area(self, other: Rect) -> float:
         """Returns the area of the intersection, m^2."""
         width = min(self.x1, other.x1) - max(self.x0, other.x0)
         depth = min(self.y1, other.y1) - max(self.y0, other.y0)
@@ -77,25 +77,25 @@ class Box(NamedTuple):
         return self.z0 < other.z1 - EPSILON and other.z0 < self.z1 - EPSILON and self.rect.overlaps(other.rect)
 
 
-def around(middle: Point, yaw: float, depth: float, width: float) -> Rect:
+def rotated_bounds(middle: Point, yaw: float, depth: float, width: float) -> Rect:
     """Returns the bounding rectangle of a rotated rectangle with ``depth`` along its x axis and ``width`` along its y axis."""
     cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
     half_x, half_y = (cos * depth + sin * width) / 2, (sin * depth + cos * width) / 2
     return Rect(middle[0] - half_x, middle[1] - half_y, middle[0] + half_x, middle[1] + half_y)
 
 
-def spanning(points: Iterable[Point]) -> Rect:
+def bounding_rect(points: Iterable[Point]) -> Rect:
     """Returns the bounding rectangle of points."""
     xs, ys = zip(*points, strict=True)
     return Rect(min(xs), min(ys), max(xs), max(ys))
 
 
-def inside(rect: Rect, cells: Iterable[Rect]) -> bool:
+def is_covered(rect: Rect, cells: Iterable[Rect]) -> bool:
     """Returns whether a rectangle lies in the union of disjoint rectangles."""
-    return sum(rect.shared(cell) for cell in cells) >= rect.area - 1e-5
+    return sum(rect.overlap_area(cell) for cell in cells) >= rect.area - 1e-5
 
 
-def without(rects: Iterable[Rect], holes: Iterable[Rect]) -> tuple[Rect, ...]:
+def subtract(rects: Iterable[Rect], holes: Iterable[Rect]) -> tuple[Rect, ...]:
     """Returns disjoint rectangles that cover the union of ``rects`` minus the union of ``holes``."""
     rects, holes = tuple(rects), tuple(holes)
     xs = sorted({round(x, 6) for r in rects + holes for x in (r.x0, r.x1)})

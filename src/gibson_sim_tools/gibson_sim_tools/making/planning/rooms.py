@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gibson_sim_tools.making.building import Opening, Point, Room, Storey, Wall
-from gibson_sim_tools.making.planning.rectangles import Rect, inside, spanning, without
+from gibson_sim_tools.making.planning.rectangles import Rect, bounding_rect, is_covered, subtract
 
 PASSAGE_DEPTH = 0.75
 """Depth of the free zone in front of a door or a passage, m."""
@@ -54,16 +54,16 @@ class WallFace:
         """Whether it is part of an outside wall."""
         return not (self.wall.left and self.wall.right)
 
-    def point(self, along: float, off: float = 0.0) -> Point:
+    def point(self, along: float, distance: float = 0.0) -> Point:
         """Returns the point at a distance along the wall and a distance from its surface, m."""
         return (
-            self.start[0] + self.along[0] * along + self.normal[0] * off,
-            self.start[1] + self.along[1] * along + self.normal[1] * off,
+            self.start[0] + self.along[0] * along + self.normal[0] * distance,
+            self.start[1] + self.along[1] * along + self.normal[1] * distance,
         )
 
     def rect(self, low: float, high: float, near: float, far: float) -> Rect:
         """Returns the rectangle between two positions along the wall and two distances from its surface, m."""
-        return spanning((self.point(low, near), self.point(high, far)))
+        return bounding_rect((self.point(low, near), self.point(high, far)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class RoomView:
 
     def holds(self, rect: Rect) -> bool:
         """Returns whether a rectangle lies within the walls."""
-        return inside(rect, self.cells)
+        return is_covered(rect, self.cells)
 
     def depth_at(self, face: WallFace, along: float) -> float:
         """Returns the depth of the free floor in front of a position on a wall, m."""
@@ -162,7 +162,7 @@ def window_zone(face: WallFace, opening: Opening) -> Rect:
 
 def wall_rect(wall: Wall) -> Rect:
     """Returns the footprint of a wall, extended by half its thickness at both ends, so that corners are closed."""
-    return spanning((wall.start, wall.end)).grown(wall.thickness / 2)
+    return bounding_rect((wall.start, wall.end)).grown(wall.thickness / 2)
 
 
 def room_view(storey: Storey, room: Room, blocked: Sequence[Rect]) -> RoomView:
@@ -174,7 +174,7 @@ def room_view(storey: Storey, room: Room, blocked: Sequence[Rect]) -> RoomView:
         blocked: stairs and openings in the floor.
     """
     walls = [w for w in storey.walls if room.name in (w.left, w.right)]
-    cells = without(cells_of(room.corners), [*(wall_rect(w) for w in storey.walls), *blocked])
+    cells = subtract(cells_of(room.corners), [*(wall_rect(w) for w in storey.walls), *blocked])
     faces = tuple(_clip_to_floor(face_of(w, room.name), cells) for w in walls)
     gates = tuple(
         GateView(f, o, door_zones(f, o), f.wall.right if f.side > 0 else f.wall.left)
@@ -201,7 +201,7 @@ def _merge_collinear(faces: Sequence[WallFace]) -> tuple[WallFace, ...]:
 
 def cells_of(corners: Sequence[Point]) -> tuple[Rect, ...]:
     """Returns disjoint rectangles that cover a polygon with axis-aligned edges."""
-    bounds = spanning(corners)
+    bounds = bounding_rect(corners)
     xs, ys = sorted({c[0] for c in corners}), sorted({c[1] for c in corners})
     outside = [
         Rect(x0, y0, x1, y1)
@@ -209,7 +209,7 @@ def cells_of(corners: Sequence[Point]) -> tuple[Rect, ...]:
         for y0, y1 in itertools.pairwise(ys)
         if not _polygon_contains(corners, ((x0 + x1) / 2, (y0 + y1) / 2))
     ]
-    return without([bounds], outside)
+    return subtract([bounds], outside)
 
 
 def _polygon_contains(corners: Sequence[Point], point: Point) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gibson_sim.types import Vec3
 from gibson_sim_tools.making.building import Body, Lamp, Piece, Point
 from gibson_sim_tools.making.catalogue import CATALOGUE
-from gibson_sim_tools.making.planning.rectangles import EPSILON, Box, Rect, around
+from gibson_sim_tools.making.planning.rectangles import EPSILON, Box, Rect, rotated_bounds
 from gibson_sim_tools.making.planning.rooms import RoomView, WallFace
 
 CELL = 0.05
@@ -44,7 +44,7 @@ class FurnishingItem:
     @property
     def rect(self) -> Rect:
         """Footprint."""
-        return around(self.middle, self.yaw, self.size[0], self.size[1])
+        return rotated_bounds(self.middle, self.yaw, self.size[0], self.size[1])
 
     @property
     def box(self) -> Box:
@@ -63,7 +63,7 @@ class FurnishingItem:
 
     def front(self, depth: float) -> Rect:
         """Returns the floor in front of it over its whole width. ``depth``: m."""
-        return around(self.point_ahead((self.size[0] + depth) / 2), self.yaw, depth, self.size[1])
+        return rotated_bounds(self.point_ahead((self.size[0] + depth) / 2), self.yaw, depth, self.size[1])
 
 
 @dataclass
@@ -76,14 +76,14 @@ class Furnishings:
     lamps: list[Lamp] = field(default_factory=list)
     _counts: dict[str, int] = field(default_factory=dict)
 
-    def mark(self) -> tuple[int, int, int, dict[str, int]]:
-        """Returns the current state, for ``rewind``."""
+    def snapshot(self) -> tuple[int, int, int, dict[str, int]]:
+        """Returns the current state, for ``restore``."""
         return len(self.pieces), len(self.bodies), len(self.lamps), dict(self._counts)
 
-    def rewind(self, mark: tuple[int, int, int, dict[str, int]]) -> None:
-        """Removes everything added since a mark."""
-        del self.pieces[mark[0] :], self.bodies[mark[1] :], self.lamps[mark[2] :]
-        self._counts = dict(mark[3])
+    def restore(self, snapshot: tuple[int, int, int, dict[str, int]]) -> None:
+        """Removes everything added since a snapshot."""
+        del self.pieces[snapshot[0] :], self.bodies[snapshot[1] :], self.lamps[snapshot[2] :]
+        self._counts = dict(snapshot[3])
 
     def name(self, stem: str) -> str:
         """Returns a unique name."""

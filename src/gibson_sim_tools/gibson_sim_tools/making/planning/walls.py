@@ -52,8 +52,8 @@ def outline(space: Space) -> tuple[Point, ...]:
         corners.append(next_corner[corners[-1]])
     return tuple(
         c
-        for before, c, after in zip([corners[-1], *corners[:-1]], corners, [*corners[1:], first], strict=True)
-        if _bends(before, c, after)
+        for previous, c, following in zip([corners[-1], *corners[:-1]], corners, [*corners[1:], first], strict=True)
+        if _bends(previous, c, following)
     )
 
 

@@ -64,7 +64,7 @@ class ClosedSurface:
     finish: str
     """Name of its material."""
 
-    def placed(self, xyz: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0)) -> ClosedSurface:
+    def transformed(self, xyz: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0)) -> ClosedSurface:
         """Returns the surface rotated (radians) and translated (metres)."""
         T = matrix_from_pose(pose_from_xyz_rpy(xyz, rpy))
         rotation = T[:3, :3]

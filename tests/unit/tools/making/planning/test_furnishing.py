@@ -97,10 +97,10 @@ def test_what_would_cut_a_front_off_from_the_door_is_not_placed() -> None:
 def test_furnishings_can_be_rewound_and_names_are_counted() -> None:
     furnishings = Furnishings(np.random.default_rng(0))
     assert [furnishings.name("lamp"), furnishings.name("lamp"), furnishings.name("rug")] == ["lamp", "lamp_2", "rug"]
-    mark = furnishings.mark()
+    snapshot = furnishings.snapshot()
     furnishings.bodies.append(Body("b", "mug", (0.0, 0.0, 0.0)))
     assert furnishings.name("lamp") == "lamp_3"
-    furnishings.rewind(mark)
+    furnishings.restore(snapshot)
     assert not furnishings.bodies and furnishings.name("lamp") == "lamp_3"
 
 

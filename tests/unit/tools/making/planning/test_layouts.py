@@ -29,7 +29,7 @@ def test_rooms_do_not_overlap_and_have_names_of_their_own(maker: Callable[[np.ra
             rects = [(s.name, r) for s in level.spaces for r in s.rects]
             assert len({s.name for s in level.spaces}) == len(level.spaces)
             assert all(r.width > 0.8 and r.depth > 0.8 for _, r in rects)
-            assert not any(a.shared(b) > 1e-6 for k, (_, a) in enumerate(rects) for _, b in rects[k + 1 :])
+            assert not any(a.overlap_area(b) > 1e-6 for k, (_, a) in enumerate(rects) for _, b in rects[k + 1 :])
 
 
 @pytest.mark.parametrize("maker", MAKERS)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from gibson_sim_tools.making.planning.rectangles import Box, Rect, around, inside, spanning, without
+from gibson_sim_tools.making.planning.rectangles import Box, Rect, bounding_rect, is_covered, rotated_bounds, subtract
 
 R = Rect(1.0, 2.0, 4.0, 3.0)
 
@@ -28,7 +28,7 @@ def test_a_rectangle_measures_itself() -> None:
 )
 def test_touching_is_no_overlap(other: Rect, overlap: bool, area: float) -> None:
     assert R.overlaps(other) is overlap and other.overlaps(R) is overlap
-    assert R.shared(other) == other.shared(R) == pytest.approx(area)
+    assert R.overlap_area(other) == other.overlap_area(R) == pytest.approx(area)
 
 
 def test_the_edge_belongs_to_a_rectangle() -> None:
@@ -52,26 +52,26 @@ def test_boxes_above_each_other_do_not_overlap() -> None:
     ],
 )
 def test_a_rotated_rectangle_has_a_bounding_rectangle(yaw: float, expected: tuple[float, ...]) -> None:
-    assert around((0.0, 0.0), yaw, 2.0, 1.0) == pytest.approx(expected)
+    assert rotated_bounds((0.0, 0.0), yaw, 2.0, 1.0) == pytest.approx(expected)
 
 
 def test_points_have_a_bounding_rectangle() -> None:
-    assert spanning([(1.0, 5.0), (-2.0, 3.0), (0.0, 4.0)]) == Rect(-2.0, 3.0, 1.0, 5.0)
+    assert bounding_rect([(1.0, 5.0), (-2.0, 3.0), (0.0, 4.0)]) == Rect(-2.0, 3.0, 1.0, 5.0)
 
 
 def test_a_rectangle_over_two_cells_is_inside_them() -> None:
     cells = [Rect(0.0, 0.0, 2.0, 2.0), Rect(2.0, 0.0, 4.0, 1.0)]
-    assert inside(Rect(1.0, 0.0, 3.0, 1.0), cells)
-    assert not inside(Rect(1.0, 0.0, 3.0, 1.5), cells)
+    assert is_covered(Rect(1.0, 0.0, 3.0, 1.0), cells)
+    assert not is_covered(Rect(1.0, 0.0, 3.0, 1.5), cells)
 
 
 def test_a_hole_in_the_middle_leaves_four_rectangles_of_the_right_area() -> None:
-    left = without([Rect(0.0, 0.0, 3.0, 3.0)], [Rect(1.0, 1.0, 2.0, 2.0)])
+    left = subtract([Rect(0.0, 0.0, 3.0, 3.0)], [Rect(1.0, 1.0, 2.0, 2.0)])
     assert len(left) == 4 and sum(r.area for r in left) == pytest.approx(8.0)
     assert not any(a.overlaps(b) for a in left for b in left if a is not b)
     assert not any(r.overlaps(Rect(1.0, 1.0, 2.0, 2.0)) for r in left)
 
 
 def test_rectangles_that_form_one_are_joined() -> None:
-    assert without([Rect(0.0, 0.0, 1.0, 2.0), Rect(1.0, 0.0, 3.0, 2.0)], []) == (Rect(0.0, 0.0, 3.0, 2.0),)
-    assert without([Rect(0.0, 0.0, 1.0, 1.0)], [Rect(-1.0, -1.0, 2.0, 2.0)]) == ()
+    assert subtract([Rect(0.0, 0.0, 1.0, 2.0), Rect(1.0, 0.0, 3.0, 2.0)], []) == (Rect(0.0, 0.0, 3.0, 2.0),)
+    assert subtract([Rect(0.0, 0.0, 1.0, 1.0)], [Rect(-1.0, -1.0, 2.0, 2.0)]) == ()

@@ -23,10 +23,10 @@ def toilet(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0.4), (-d / 2 + 0.17, w / 2, h))
 
 
-def _oval(s: ObjectBuilder, profile: list[tuple[float, float]], long: float, wide: float, front: float) -> None:
+def _oval(s: ObjectBuilder, profile: list[tuple[float, float]], long: float, width: float, front: float) -> None:
     part = s.lathe((0, 0, 0), profile, surface_of("ceramic_white"), 24)
     part.vertices[:, 0] = part.vertices[:, 0] * long * 0.99 + front - long / 2
-    part.vertices[:, 1] *= wide * 0.99
+    part.vertices[:, 1] *= width * 0.99
     part.uv *= 0.3
 
 
@@ -49,7 +49,7 @@ def basin(s: ObjectBuilder, d: float, w: float, h: float) -> None:
 
 def bath(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """Adds a built-in bath tub with panels."""
-    white, rim, deep = surface_of("ceramic_white"), 0.07, h - 0.16
+    white, rim, depth = surface_of("ceramic_white"), 0.07, h - 0.16
     s.box((-d / 2, -w / 2, 0), (d / 2, w / 2, h - 0.04), surface_of("ceramic_white", (0.90, 0.90, 0.89)), 0.003, "-x -z +z")
     a, b, e, f = d / 2 - rim, w / 2 - rim, d / 2 - rim - 0.09, w / 2 - rim - 0.17
     for k in (-1, 1):
@@ -58,8 +58,8 @@ def bath(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     top, low = [(-a, -b), (a, -b), (a, b), (-a, b)], [(-e, -f), (e, -f), (e, f), (-e, f)]
     for k in range(4):
         j = (k + 1) % 4
-        s.quad([(*top[k], h - 0.003), (*top[j], h - 0.003), (*low[j], h - deep), (*low[k], h - deep)], white)
-    s.quad([(*p, h - deep) for p in low], white)
+        s.quad([(*top[k], h - 0.003), (*top[j], h - 0.003), (*low[j], h - depth), (*low[k], h - depth)], white)
+    s.quad([(*p, h - depth) for p in low], white)
     tap(s, (-a - 0.02, 0, h), 0.16, 0.14)
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 

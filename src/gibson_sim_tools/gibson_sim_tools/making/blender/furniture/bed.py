@@ -29,9 +29,9 @@ def bed(s: ObjectBuilder, d: float, w: float, h: float) -> None:
         for level in range(2):
             first = len(s.parts)
             tone = vary_color((0.92, 0.91, 0.88), s.rng, 0.02) if level == 0 else vary_color((0.74, 0.76, 0.76), s.rng, 0.06)
-            wide = 0.33 if level == 0 else 0.27
-            part = s.cushion((-0.09, -wide, -0.2), (0.09, wide, 0.2), surface_of("linen", tone), 2.8, 8, noise=0.012)
-            part.vertices[:, 0] *= 1.0 - 0.45 * (np.abs(part.vertices[:, 1]) / wide * np.abs(part.vertices[:, 2]) / 0.2)
+            width = 0.33 if level == 0 else 0.27
+            part = s.cushion((-0.09, -width, -0.2), (0.09, width, 0.2), surface_of("linen", tone), 2.8, 8, noise=0.012)
+            part.vertices[:, 0] *= 1.0 - 0.45 * (np.abs(part.vertices[:, 1]) / width * np.abs(part.vertices[:, 2]) / 0.2)
             y = (k - (count - 1) / 2) * w * 0.47 + s.rng.uniform(-0.03, 0.03)
             s.transform(
                 first,

@@ -26,17 +26,17 @@ def kitchen_style(s: ObjectBuilder) -> tuple[Surface, Surface]:
 def _base(s: ObjectBuilder, d: float, w: float, h: float, hole: tuple[float, float] | None = None) -> tuple[float, Surface]:
     """Adds plinth, body and worktop (with a hole of depth x width); returns the x of the fronts and their surface."""
     front, top = kitchen_style(s)
-    inner, thick = d / 2 - 0.05, 0.035
+    inner, thickness = d / 2 - 0.05, 0.035
     s.box((-d / 2, -w / 2, 0), (inner - 0.05, w / 2, 0.1), surface_of("metal_black", (0.16, 0.16, 0.16)), 0, "-x +z -z -y +y")
-    s.box((-d / 2, -w / 2, 0.1), (inner, w / 2, h - thick), surface_of("wood_white"), 0.001, "-x +z +x")
+    s.box((-d / 2, -w / 2, 0.1), (inner, w / 2, h - thickness), surface_of("wood_white"), 0.001, "-x +z +x")
     if hole is None:
-        s.box((-d / 2, -w / 2, h - thick), (d / 2, w / 2, h), top, 0.004, "-x -z")
+        s.box((-d / 2, -w / 2, h - thickness), (d / 2, w / 2, h), top, 0.004, "-x -z")
     else:
         a, b = hole[0] / 2, hole[1] / 2
-        s.box((-d / 2, -w / 2, h - thick), (d / 2, -b, h), top, 0.003, "-x -z +y")
-        s.box((-d / 2, b, h - thick), (d / 2, w / 2, h), top, 0.003, "-x -z -y")
-        s.box((-d / 2, -b, h - thick), (-a, b, h), top, 0.0, "-x -z +y -y")
-        s.box((a, -b, h - thick), (d / 2, b, h), top, 0.003, "-z +y -y")
+        s.box((-d / 2, -w / 2, h - thickness), (d / 2, -b, h), top, 0.003, "-x -z +y")
+        s.box((-d / 2, b, h - thickness), (d / 2, w / 2, h), top, 0.003, "-x -z -y")
+        s.box((-d / 2, -b, h - thickness), (-a, b, h), top, 0.0, "-x -z +y -y")
+        s.box((a, -b, h - thickness), (d / 2, b, h), top, 0.003, "-z +y -y")
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
     return inner, front
 
@@ -55,21 +55,21 @@ def sink(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """Adds a base unit with a basin of steel and a tap."""
     x, front = _base(s, d, w, h, (0.38, 0.46))
     fronts(s, x, (-w / 2, 0.1), (w / 2, h - 0.045), 2, 1, front, surface_of("metal_black"))
-    steel, a, b, deep = surface_of("metal_steel"), 0.19, 0.23, 0.17
+    steel, a, b, depth = surface_of("metal_steel"), 0.19, 0.23, 0.17
     inner = [((-a, -b), (-a, b)), ((-a, b), (a, b)), ((a, b), (a, -b)), ((a, -b), (-a, -b))]
     for (x0, y0), (x1, y1) in inner:
-        s.quad([(x0, y0, h - deep), (x0, y0, h), (x1, y1, h), (x1, y1, h - deep)][::-1], steel)
-    s.quad([(-a, -b, h - deep), (a, -b, h - deep), (a, b, h - deep), (-a, b, h - deep)], steel)
-    s.lathe((0, 0, h - deep), [(0.035, 0.001), (0.03, 0.002), (0, 0.002)], surface_of("metal_black"), 12)
+        s.quad([(x0, y0, h - depth), (x0, y0, h), (x1, y1, h), (x1, y1, h - depth)][::-1], steel)
+    s.quad([(-a, -b, h - depth), (a, -b, h - depth), (a, b, h - depth), (-a, b, h - depth)], steel)
+    s.lathe((0, 0, h - depth), [(0.035, 0.001), (0.03, 0.002), (0, 0.002)], surface_of("metal_black"), 12)
     tap(s, (-a - 0.045, 0.0, h), 0.28, 0.2)
 
 
-def tap(s: ObjectBuilder, at: tuple[float, float, float], tall: float, reach: float) -> None:
+def tap(s: ObjectBuilder, at: tuple[float, float, float], height: float, reach: float) -> None:
     """Adds a tap whose spout bends to +x, with a lever."""
     steel = surface_of("metal_steel", (0.78, 0.79, 0.80))
     t = np.linspace(0, np.pi, 9)
-    bend = [(at[0] + reach / 2 - reach / 2 * np.cos(a), at[1], at[2] + tall - reach / 2 + reach / 2 * np.sin(a)) for a in t]
-    s.tube([at, *bend, (at[0] + reach, at[1], at[2] + tall - reach * 0.7)], 0.011, steel, 8)
+    bend = [(at[0] + reach / 2 - reach / 2 * np.cos(a), at[1], at[2] + height - reach / 2 + reach / 2 * np.sin(a)) for a in t]
+    s.tube([at, *bend, (at[0] + reach, at[1], at[2] + height - reach * 0.7)], 0.011, steel, 8)
     s.lathe(at, [(0.026, 0), (0.026, 0.012), (0.02, 0.05), (0.0, 0.052)], steel, 12)
     s.tube([(at[0], at[1] + 0.015, at[2] + 0.04), (at[0] + 0.02, at[1] + 0.075, at[2] + 0.06)], 0.006, steel, 6)
 

@@ -86,40 +86,48 @@ def armchair(s: ObjectBuilder, d: float, w: float, h: float) -> None:
 def table(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """Adds a table with four legs and a frame, or with a round foot."""
     wood = choose(s, WOODS)
-    thick = 0.028
-    s.box((-d / 2, -w / 2, h - thick), (d / 2, w / 2, h), wood, 0.006, solid=True)
+    thickness = 0.028
+    s.box((-d / 2, -w / 2, h - thickness), (d / 2, w / 2, h), wood, 0.006, solid=True)
     if h < 0.5:
-        legs(s, d, w, h - thick, surface_of("metal_black") if s.rng.random() < 0.4 else wood, 0.016, 0.06)
+        legs(s, d, w, h - thickness, surface_of("metal_black") if s.rng.random() < 0.4 else wood, 0.016, 0.06)
         s.box((-d / 2 + 0.1, -w / 2 + 0.1, h * 0.36), (d / 2 - 0.1, w / 2 - 0.1, h * 0.36 + 0.015), wood)
         magazines(s, (0.0, s.rng.uniform(-0.2, 0.2), h * 0.36 + 0.015))
     else:
         for x in (-1, 1):
             for y in (-1, 1):
                 a, b = np.array([x * (d / 2 - 0.03), y * (w / 2 - 0.03)]), np.array([x * (d / 2 - 0.095), y * (w / 2 - 0.095)])
-                s.box((*a, 0), (*b, h - thick), wood, 0.004, "+z -z", solid=True)
+                s.box((*a, 0), (*b, h - thickness), wood, 0.004, "+z -z", solid=True)
         for y in (-1, 1):
             s.box(
-                (-d / 2 + 0.07, y * (w / 2 - 0.05), h - 0.11), (d / 2 - 0.07, y * (w / 2 - 0.072), h - thick), wood, 0.002, "+z"
+                (-d / 2 + 0.07, y * (w / 2 - 0.05), h - 0.11),
+                (d / 2 - 0.07, y * (w / 2 - 0.072), h - thickness),
+                wood,
+                0.002,
+                "+z",
             )
         for x in (-1, 1):
             s.box(
-                (x * (d / 2 - 0.05), -w / 2 + 0.07, h - 0.11), (x * (d / 2 - 0.072), w / 2 - 0.07, h - thick), wood, 0.002, "+z"
+                (x * (d / 2 - 0.05), -w / 2 + 0.07, h - 0.11),
+                (x * (d / 2 - 0.072), w / 2 - 0.07, h - thickness),
+                wood,
+                0.002,
+                "+z",
             )
         return
     for x in (-1, 1):
         for y in (-1, 1):
             corner = (x * (d / 2 - 0.06), y * (w / 2 - 0.06))
-            s.collide((corner[0] - 0.02, corner[1] - 0.02, 0), (corner[0] + 0.02, corner[1] + 0.02, h - thick))
+            s.collide((corner[0] - 0.02, corner[1] - 0.02, 0), (corner[0] + 0.02, corner[1] + 0.02, h - thickness))
 
 
 def magazines(s: ObjectBuilder, at: tuple[float, float, float]) -> None:
     """Adds a small stack of magazines."""
     z = at[2]
     for _ in range(int(s.rng.integers(2, 5))):
-        first, thick = len(s.parts), s.rng.uniform(0.004, 0.012)
-        s.box((-0.105, -0.145, 0), (0.105, 0.145, thick), surface_of("paper", sample_vivid_color(s.rng)), 0.001)
+        first, thickness = len(s.parts), s.rng.uniform(0.004, 0.012)
+        s.box((-0.105, -0.145, 0), (0.105, 0.145, thickness), surface_of("paper", sample_vivid_color(s.rng)), 0.001)
         s.transform(first, pose_matrix((at[0], at[1], z), s.rng.uniform(-0.3, 0.3)))
-        z += thick
+        z += thickness
 
 
 def fronts(
@@ -133,18 +141,21 @@ def fronts(
     handle: Surface,
 ) -> None:
     """Adds doors or drawers, columns x rows, between (y, z) corners, in front of the plane at ``x``, each with a handle."""
-    gap, thick = 0.003, 0.018
+    gap, thickness = 0.003, 0.018
     ys, zs = np.linspace(low[0], high[0], columns + 1), np.linspace(low[1], high[1], rows + 1)
     for j in range(columns):
         for k in range(rows):
             a, b = np.array([ys[j] + gap, zs[k] + gap]), np.array([ys[j + 1] - gap, zs[k + 1] - gap])
-            s.box((x, a[0], a[1]), (x + thick, b[0], b[1]), surface, 0.003, "-x")
-            middle, wide = (a + b) / 2, min(0.16, 0.5 * (b[0] - a[0]))
+            s.box((x, a[0], a[1]), (x + thickness, b[0], b[1]), surface, 0.003, "-x")
+            middle, width = (a + b) / 2, min(0.16, 0.5 * (b[0] - a[0]))
             if b[1] - a[1] > 0.45 and rows == 1:  # doors: upright handles beside the gap
                 side = b[0] - 0.05 if j % 2 == 0 and columns > 1 else a[0] + 0.05
-                ends = [(x + thick, side, middle[1] - 0.08), (x + thick, side, middle[1] + 0.08)]
+                ends = [(x + thickness, side, middle[1] - 0.08), (x + thickness, side, middle[1] + 0.08)]
             else:
-                ends = [(x + thick, middle[0] - wide / 2, b[1] - 0.045), (x + thick, middle[0] + wide / 2, b[1] - 0.045)]
+                ends = [
+                    (x + thickness, middle[0] - width / 2, b[1] - 0.045),
+                    (x + thickness, middle[0] + width / 2, b[1] - 0.045),
+                ]
             bar(s, ends, handle)
 
 
@@ -216,20 +227,20 @@ def _books(s: ObjectBuilder, low: tuple[float, float, float], high: tuple[float,
         if s.rng.random() < 0.08:
             z = low[2]
             for _ in range(int(s.rng.integers(2, 5))):
-                thick = s.rng.uniform(0.02, 0.04)
+                thickness = s.rng.uniform(0.02, 0.04)
                 _book(
                     s,
                     (high[0] - s.rng.uniform(0.14, 0.18), y, z),
-                    (high[0] - s.rng.uniform(0.0, 0.02), min(y + 0.22, stop), z + thick),
+                    (high[0] - s.rng.uniform(0.0, 0.02), min(y + 0.22, stop), z + thickness),
                 )
-                z += thick
+                z += thickness
             y += 0.23
             continue
-        thick, tall = s.rng.uniform(0.014, 0.045), clear * s.rng.uniform(0.62, 0.93)
-        deep = min(high[0] - low[0], s.rng.uniform(0.13, 0.2))
+        thickness, height = s.rng.uniform(0.014, 0.045), clear * s.rng.uniform(0.62, 0.93)
+        depth = min(high[0] - low[0], s.rng.uniform(0.13, 0.2))
         back = s.rng.uniform(0.0, 0.02)
-        _book(s, (high[0] - back - deep, y, low[2]), (high[0] - back, y + thick - 0.001, low[2] + tall))
-        y += thick
+        _book(s, (high[0] - back - depth, y, low[2]), (high[0] - back, y + thickness - 0.001, low[2] + height))
+        y += thickness
 
 
 def _book(s: ObjectBuilder, low: tuple[float, ...], high: tuple[float, ...]) -> None:
@@ -260,11 +271,11 @@ def plant(s: ObjectBuilder, d: float, w: float, h: float) -> None:
         angle = k * golden + s.rng.uniform(-0.3, 0.3)
         if style < 0.5:  # stem with leaves along its length
             root = np.array([0.02 * np.cos(angle), 0.02 * np.sin(angle), pot + (h * 0.93 - pot) * (0.15 + 0.8 * level)])
-            length, droop, wide = h * 0.17 * (1.25 - 0.5 * level), 0.35 - 0.5 * level, 0.42
+            length, droop, width = h * 0.17 * (1.25 - 0.5 * level), 0.35 - 0.5 * level, 0.42
         else:  # long leaves from the pot
             root = np.array([0.04 * np.cos(angle), 0.04 * np.sin(angle), pot * 0.9])
-            length, droop, wide = (h - pot) * s.rng.uniform(0.65, 1.0), 0.5 - 1.0 * level, 0.11
-        _leaf(s, root, angle, length, droop, wide, reach, h, surface_of("leaves", vary_color(base, s.rng, 0.09), 0.7))
+            length, droop, width = (h - pot) * s.rng.uniform(0.65, 1.0), 0.5 - 1.0 * level, 0.11
+        _leaf(s, root, angle, length, droop, width, reach, h, surface_of("leaves", vary_color(base, s.rng, 0.09), 0.7))
     if style < 0.5:
         sway = s.rng.uniform(-0.03, 0.03, 2)
         path = [
@@ -280,7 +291,7 @@ def _leaf(
     angle: float,
     length: float,
     droop: float,
-    wide: float,
+    width: float,
     reach: float,
     top: float,
     surface: Surface,
@@ -292,7 +303,7 @@ def _leaf(
     middle = np.column_stack([np.cos(angle) * out, np.sin(angle) * out, length * rise]) + root
     middle[:, 2] = np.clip(middle[:, 2], 0.06, top)
     side = np.array([-np.sin(angle), np.cos(angle), 0.0])
-    half = length * wide * 0.5 * np.sin(np.pi * np.clip(t, 0.03, 0.97)) ** 0.8
+    half = length * width * 0.5 * np.sin(np.pi * np.clip(t, 0.03, 0.97)) ** 0.8
     grid = np.stack(
         [middle - side * half[:, None], middle + np.array([0, 0, -0.12]) * half[:, None], middle + side * half[:, None]], axis=1
     )

@@ -50,10 +50,10 @@ def _coat(s: ObjectBuilder, x: float, y: float, top: float) -> None:
     angle, rows = np.linspace(0, 2 * np.pi, 25), np.linspace(0, 1, 9)
     grid = np.empty((len(angle), len(rows), 3))
     for k, t in enumerate(rows[::-1]):
-        wide, deep = 0.03 + 0.15 * min(1.0, t * 3.2), 0.02 + 0.045 * min(1.0, t * 2.5)
+        width, depth = 0.03 + 0.15 * min(1.0, t * 3.2), 0.02 + 0.045 * min(1.0, t * 2.5)
         fold = 1 + 0.08 * np.sin(5 * angle + 1.3) * t
         grid[:, k] = np.column_stack(
-            [x + deep * np.cos(angle) * fold, y + wide * np.sin(angle) * fold, np.full(25, top - 0.95 * t)]
+            [x + depth * np.cos(angle) * fold, y + width * np.sin(angle) * fold, np.full(25, top - 0.95 * t)]
         )
     s.sheet(grid, cloth)
 
@@ -68,10 +68,10 @@ def floor_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     s.collide((-0.03, -0.03, 0), (0.03, 0.03, h))
 
 
-def shade(s: ObjectBuilder, low: tuple[float, float, float], wide: float, narrow: float, tall: float) -> None:
+def shade(s: ObjectBuilder, low: tuple[float, float, float], width: float, narrow: float, height: float) -> None:
     """Adds a shade of cloth, lit from within."""
-    s.lathe(low, [(wide, 0), (narrow, tall)], Surface("glow", (0.99, 0.90, 0.74)), 28)
-    s.lathe(low, [(wide * 0.5, tall * 0.5), (0.001, tall * 0.5)], Surface("glow", (1.0, 0.97, 0.9)), 12)
+    s.lathe(low, [(width, 0), (narrow, height)], Surface("glow", (0.99, 0.90, 0.74)), 28)
+    s.lathe(low, [(width * 0.5, height * 0.5), (0.001, height * 0.5)], Surface("glow", (1.0, 0.97, 0.9)), 12)
 
 
 def ceiling_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:
@@ -85,19 +85,26 @@ def pendant_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """Adds a lamp that hangs on its cable."""
     r, metal = min(d, w) / 2, choose(s, ("metal_black", "metal_brass", "plastic_white", "plaster_sage"))
     skin = Surface("plain", metal.tint)
-    tall = r * 1.1
-    outer = [(r, 0.0), (r * 0.93, tall * 0.35), (r * 0.6, tall * 0.75), (0.04, tall), (0.03, tall + 0.06), (0, tall + 0.06)]
+    height = r * 1.1
+    outer = [
+        (r, 0.0),
+        (r * 0.93, height * 0.35),
+        (r * 0.6, height * 0.75),
+        (0.04, height),
+        (0.03, height + 0.06),
+        (0, height + 0.06),
+    ]
     s.lathe((0, 0, 0), outer, skin, 24)
     s.lathe(
         (0, 0, 0),
-        [(0.04, tall * 0.97), (r * 0.58, tall * 0.73), (r * 0.91, tall * 0.34), (r * 0.985, 0.0)],
+        [(0.04, height * 0.97), (r * 0.58, height * 0.73), (r * 0.91, height * 0.34), (r * 0.985, 0.0)],
         Surface("plain", (0.93, 0.9, 0.84)),
         24,
     )
-    s.lathe((0, 0, tall * 0.35), [(0, 0.0), (0.045, 0.03), (0.05, 0.06), (0.02, 0.12), (0, 0.12)], surface_of("glow"), 12)
-    s.tube([(0, 0, tall + 0.05), (0, 0, h - 0.02)], 0.003, surface_of("plastic_black"), 5)
+    s.lathe((0, 0, height * 0.35), [(0, 0.0), (0.045, 0.03), (0.05, 0.06), (0.02, 0.12), (0, 0.12)], surface_of("glow"), 12)
+    s.tube([(0, 0, height + 0.05), (0, 0, h - 0.02)], 0.003, surface_of("plastic_black"), 5)
     s.lathe((0, 0, h - 0.03), [(0, 0), (0.05, 0.004), (0.05, 0.03), (0, 0.03)], skin, 16)
-    s.collide((-r * 0.8, -r * 0.8, 0), (r * 0.8, r * 0.8, tall))
+    s.collide((-r * 0.8, -r * 0.8, 0), (r * 0.8, r * 0.8, height))
 
 
 def panel_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:

@@ -33,8 +33,8 @@ def chair(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     for k, z in enumerate(np.linspace(seat + 0.2, h - 0.06, 3)):
         first = len(s.parts)
         bend = np.linspace(-1, 1, 7)
-        tall = 0.045 if k == 2 else 0.03
-        grid = [[(-0.03 * (1 - v * v), v * (b - 0.02), t) for v in bend] for t in (-tall, tall)]
+        height = 0.045 if k == 2 else 0.03
+        grid = [[(-0.03 * (1 - v * v), v * (b - 0.02), t) for v in bend] for t in (-height, height)]
         for shift in (0.0, 0.012):
             g = np.array(grid) + np.array([shift, 0, 0])
             s.sheet(g if shift else g[::-1], wood)
@@ -189,16 +189,16 @@ def _levels(s: ObjectBuilder, back: float, front: float, w: float, h: float, met
     s.box((back, -w / 2, 0), (front, w / 2, 0.12), surface_of("metal_black", (0.2, 0.2, 0.2)), 0.003, "-x -z")
     levels = np.linspace(0.12, h - 0.05, max(3, round(h / 0.38)) + 1)
     for k, (low, high) in enumerate(itertools.pairwise(levels)):
-        deep = front if k == 0 else front - 0.04
-        s.box((back, -w / 2, low), (deep, w / 2, low + 0.02), metal, 0.002, "-x")
+        depth = front if k == 0 else front - 0.04
+        s.box((back, -w / 2, low), (depth, w / 2, low + 0.02), metal, 0.002, "-x")
         s.box(
-            (deep - 0.001, -w / 2, low - 0.005),
-            (deep + 0.004, w / 2, low + 0.03),
+            (depth - 0.001, -w / 2, low - 0.005),
+            (depth + 0.004, w / 2, low + 0.03),
             surface_of("plastic_red", vary_color((0.75, 0.72, 0.66), s.rng)),
             0,
             "-x",
         )
-        goods(s, (max(back, deep - 0.25), -w / 2 + 0.02, low + 0.02), (deep - 0.015, w / 2 - 0.02, high - 0.02))
+        goods(s, (max(back, depth - 0.25), -w / 2 + 0.02, low + 0.02), (depth - 0.015, w / 2 - 0.02, high - 0.02))
 
 
 def till(s: ObjectBuilder, d: float, w: float, h: float) -> None:

@@ -70,13 +70,13 @@ def _doors_body(part: LinkModel) -> None:
 def _cabinet_door(part: LinkModel, side: int) -> None:
     """Adds a frame with a recessed panel. ``side``: 1 = hinged at +y."""
     sage = ShaderMaterial((0.47, 0.55, 0.48), roughness=0.5)
-    inner, outer, low, high, wide = 0.002, 0.3985, 0.062, 0.758, 0.055
+    inner, outer, low, high, width = 0.002, 0.3985, 0.062, 0.758, 0.055
     y0, y1 = sorted((-side * inner, -side * outer))
-    part.box((0.0, y0, low), (BOARD_THICKNESS, y0 + wide, high), sage, 0.002, 2)
-    part.box((0.0, y1 - wide, low), (BOARD_THICKNESS, y1, high), sage, 0.002, 2)
-    for z in (low, high - wide):
-        part.box((0.0, y0 + wide, z), (BOARD_THICKNESS, y1 - wide, z + wide), sage, 0.002, 2)
-    part.box((0.003, y0 + wide - 0.004, low + wide - 0.004), (0.010, y1 - wide + 0.004, high - wide + 0.004), sage, 0.0, 1)
+    part.box((0.0, y0, low), (BOARD_THICKNESS, y0 + width, high), sage, 0.002, 2)
+    part.box((0.0, y1 - width, low), (BOARD_THICKNESS, y1, high), sage, 0.002, 2)
+    for z in (low, high - width):
+        part.box((0.0, y0 + width, z), (BOARD_THICKNESS, y1 - width, z + width), sage, 0.002, 2)
+    part.box((0.003, y0 + width - 0.004, low + width - 0.004), (0.010, y1 - width + 0.004, high - width + 0.004), sage, 0.0, 1)
     y = -side * 0.366
     _bar(part, BOARD_THICKNESS, ((y, 0.38), (y, 0.54)), ShaderMaterial((0.68, 0.55, 0.32), metallic=0.5, roughness=0.35))
 
@@ -151,11 +151,11 @@ def _oven_door(part: LinkModel) -> None:
     glass = ShaderMaterial((0.05, 0.05, 0.06), roughness=0.08)
     dark = ShaderMaterial((0.08, 0.09, 0.10), roughness=0.05, alpha=0.62)
     x0, x1, y, z0, z1 = -0.034, 0.0, 0.29, 0.005, 0.42
-    wide, low, high = 0.065, 0.075, 0.345
-    for a, b in (((-y, z0), (y, low)), ((-y, high), (y, z1)), ((-y, low), (-y + wide, high)), ((y - wide, low), (y, high))):
+    width, low, high = 0.065, 0.075, 0.345
+    for a, b in (((-y, z0), (y, low)), ((-y, high), (y, z1)), ((-y, low), (-y + width, high)), ((y - width, low), (y, high))):
         part.box((x0, a[0], a[1]), (x1, b[0], b[1]), glass, 0.002, 1)
-    part.box((-0.010, -y + wide - 0.004, low - 0.004), (-0.005, y - wide + 0.004, high + 0.004), dark, 0.0, 1)
-    part.box((-0.028, -y + wide - 0.004, low - 0.004), (-0.024, y - wide + 0.004, high + 0.004), dark, 0.0, 1)
+    part.box((-0.010, -y + width - 0.004, low - 0.004), (-0.005, y - width + 0.004, high + 0.004), dark, 0.0, 1)
+    part.box((-0.028, -y + width - 0.004, low - 0.004), (-0.024, y - width + 0.004, high + 0.004), dark, 0.0, 1)
     out = 0.035 - 0.0085
     part.rod((out, -0.24, 0.3825), (out, 0.24, 0.3825), 0.0085, STEEL, 18, 0.002)
     for at in (-0.2, 0.2):

@@ -120,19 +120,19 @@ def _window_frame(part: LinkModel) -> None:
 
 def _sash(part: LinkModel) -> None:
     """Adds the sash. Its origin is the edge with the hinge, in the front plane of the frame."""
-    x0, x1, z0, z1, wide = 0.004, 0.696, 0.054, 1.146, 0.062
+    x0, x1, z0, z1, width = 0.004, 0.696, 0.054, 1.146, 0.062
     y0, y1 = -0.055, -0.005
-    part.box((x0, y0, z0), (x0 + wide, y1, z1), WHITE, 0.004, 2)
-    part.box((x1 - wide, y0, z0), (x1, y1, z1), WHITE, 0.004, 2)
-    part.box((x0 + wide, y0, z0), (x1 - wide, y1, z0 + wide), WHITE, 0.004, 2)
-    part.box((x0 + wide, y0, z1 - wide), (x1 - wide, y1, z1), WHITE, 0.004, 2)
-    part.box((x0 + wide - 0.005, -0.034, z0 + wide - 0.005), (x1 - wide + 0.005, -0.026, z1 - wide + 0.005), PANE, 0.0, 1)
+    part.box((x0, y0, z0), (x0 + width, y1, z1), WHITE, 0.004, 2)
+    part.box((x1 - width, y0, z0), (x1, y1, z1), WHITE, 0.004, 2)
+    part.box((x0 + width, y0, z0), (x1 - width, y1, z0 + width), WHITE, 0.004, 2)
+    part.box((x0 + width, y0, z1 - width), (x1 - width, y1, z1), WHITE, 0.004, 2)
+    part.box((x0 + width - 0.005, -0.034, z0 + width - 0.005), (x1 - width + 0.005, -0.026, z1 - width + 0.005), PANE, 0.0, 1)
     bead = ShaderMaterial((0.30, 0.31, 0.32), roughness=0.8)
     for y in (-0.038, -0.026):
-        for x in (x0 + wide, x1 - wide - 0.004):
-            part.box((x, y, z0 + wide), (x + 0.004, y + 0.004, z1 - wide), bead, 0.0, 1)
-        for z in (z0 + wide, z1 - wide - 0.004):
-            part.box((x0 + wide, y, z), (x1 - wide, y + 0.004, z + 0.004), bead, 0.0, 1)
+        for x in (x0 + width, x1 - width - 0.004):
+            part.box((x, y, z0 + width), (x + 0.004, y + 0.004, z1 - width), bead, 0.0, 1)
+        for z in (z0 + width, z1 - width - 0.004):
+            part.box((x0 + width, y, z), (x1 - width, y + 0.004, z + 0.004), bead, 0.0, 1)
     for z in (0.18, 1.02):
         part.rod((0.0, -0.004, z - 0.035), (0.0, -0.004, z + 0.035), 0.0075, STEEL, 14, 0.001)
 

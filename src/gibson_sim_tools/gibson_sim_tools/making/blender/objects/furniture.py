@@ -74,5 +74,5 @@ def _table_side(part: LinkModel) -> None:
     part.box((-0.185, -0.185, 0.14), (0.185, 0.185, 0.156), BEECH, 0.003, 2)
 
 
-MAKERS = {one.__name__[1:]: one for one in (_chair_wooden, _stool, _table_side)}
+MAKERS = {function.__name__[1:]: function for function in (_chair_wooden, _stool, _table_side)}
 """Modelling function of the only link, by object name."""

@@ -144,22 +144,22 @@ def _keyboard(part: LinkModel) -> None:
         x, y = -0.048 + 0.0225 * row, -0.206
         z = 0.0172 - math.tan(0.06) * x
         while y < 0.19:
-            wide = 0.0205
+            width = 0.0205
             if row == 4 and -0.10 < y < -0.08:
-                wide = 0.14
+                width = 0.14
             elif row and y < -0.2:
-                wide = 0.0205 * (1 + 0.25 * row)
-            wide = 0.206 - y if y + 1.6 * wide > 0.206 else wide
-            paint = accent if (row, y < -0.2) == (0, True) or (row == 2 and y + wide > 0.2) else key
+                width = 0.0205 * (1 + 0.25 * row)
+            width = 0.206 - y if y + 1.6 * width > 0.206 else width
+            paint = accent if (row, y < -0.2) == (0, True) or (row == 2 and y + width > 0.2) else key
             part.box(
                 (x - 0.0095, y + 0.001, z - 0.004),
-                (x + 0.0095, y + wide - 0.001, z + 0.0045),
+                (x + 0.0095, y + width - 0.001, z + 0.0045),
                 paint,
                 0.0,
                 1,
                 turn=(0.0, 0.06, 0.0),
             )
-            y += wide
+            y += width
 
 
 def _remote_control(part: LinkModel) -> None:
@@ -250,8 +250,8 @@ def _basket(part: LinkModel) -> None:
 
 
 MAKERS = {
-    one.__name__[1:]: one
-    for one in (
+    function.__name__[1:]: function
+    for function in (
         _book_a,
         _book_b,
         _book_stack,

@@ -191,8 +191,8 @@ def _pen_cup(part: LinkModel) -> None:
 
 
 MAKERS = {
-    one.__name__[1:]: one
-    for one in (
+    function.__name__[1:]: function
+    for function in (
         _bottle_water,
         _bottle_wine,
         _can_soda,

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from gibson_sim_tools.making.building import Point
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.objects import SIZES
-from gibson_sim_tools.making.planning.rectangles import Rect, around
+from gibson_sim_tools.making.planning.rectangles import Rect, rotated_bounds
 from gibson_sim_tools.making.planning.rooms import WallFace
 from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
@@ -51,8 +51,12 @@ def wall_of(room: FurnishedRoom, item: FurnishingItem) -> WallFace | None:
     behind = item.point_ahead(-item.size[0] / 2 - 0.05)
     for face in room.view.sides:
         along = (behind[0] - face.start[0]) * face.along[0] + (behind[1] - face.start[1]) * face.along[1]
-        off = (behind[0] - face.start[0]) * face.normal[0] + (behind[1] - face.start[1]) * face.normal[1]
-        if face.low <= along <= face.high and -0.2 < off < 0.05 and abs(math.remainder(face.yaw - item.yaw, 2 * math.pi)) < 0.01:
+        distance = (behind[0] - face.start[0]) * face.normal[0] + (behind[1] - face.start[1]) * face.normal[1]
+        if (
+            face.low <= along <= face.high
+            and -0.2 < distance < 0.05
+            and abs(math.remainder(face.yaw - item.yaw, 2 * math.pi)) < 0.01
+        ):
             return face
     return None
 
@@ -106,7 +110,7 @@ def table_group(
             yaw = _wrapped(table.yaw + (math.pi if sign > 0 else 0.0))
             seat = FurnishingItem(chair, table.point_ahead(sign * distance, aside), yaw, chair_size, movable=movable)
             items.append(seat)
-            fronts.append(around(seat.point_ahead(-chair_size[0] / 2 - 0.15), yaw, 0.3, chair_size[1]))
+            fronts.append(rotated_bounds(seat.point_ahead(-chair_size[0] / 2 - 0.15), yaw, 0.3, chair_size[1]))
     for n in range(heads):
         sign = 1 if n == 0 else -1
         yaw = _wrapped(table.yaw - sign * math.pi / 2)
@@ -114,7 +118,7 @@ def table_group(
             chair, table.point_ahead(0.0, sign * (table.size[1] / 2 + 0.03 + chair_size[0] / 2)), yaw, chair_size, movable=movable
         )
         items.append(seat)
-        fronts.append(around(seat.point_ahead(-chair_size[0] / 2 - 0.15), yaw, 0.3, chair_size[1]))
+        fronts.append(rotated_bounds(seat.point_ahead(-chair_size[0] / 2 - 0.15), yaw, 0.3, chair_size[1]))
     return items, fronts
 
 
@@ -170,11 +174,11 @@ def _tables_at_walls(
     seats: int,
 ) -> Iterator[Group]:
     """Yields tables with one end at a wall and chairs on both sides, then with one side at a wall and chairs on the other side."""
-    each = max(1, seats // 2)
+    per_side = max(1, seats // 2)
     for face, along in room.wall_positions(size[0], score=far_from_doors(room)):
         table = FurnishingItem(kind, face.point(along, size[1] / 2 + 0.02), _wrapped(face.yaw + math.pi / 2), size)
         if room.fits(table):
-            yield table_group(room, table, chair, chair_size, (each, each), 0)
+            yield table_group(room, table, chair, chair_size, (per_side, per_side), 0)
     for face, along in room.wall_positions(size[1], score=far_from_doors(room)):
         table = FurnishingItem(kind, face.point(along, size[0] / 2 + 0.02), face.yaw, size)
         if room.fits(table):
@@ -208,7 +212,7 @@ def desk_group(room: FurnishedRoom, desk: FurnishingItem, chair_size: tuple[floa
                     "desk_lamp", desk.point_ahead(-desk.size[0] / 2 + shade[0] / 2 + 0.05, aside), desk.yaw, shade, top
                 )
             )
-    return items, [around(chair.point_ahead(-chair_size[0] / 2 - 0.15), chair.yaw, 0.3, chair_size[1])]
+    return items, [rotated_bounds(chair.point_ahead(-chair_size[0] / 2 - 0.15), chair.yaw, 0.3, chair_size[1])]
 
 
 def put_desk(room: FurnishedRoom, *, lamp: bool = True) -> bool:

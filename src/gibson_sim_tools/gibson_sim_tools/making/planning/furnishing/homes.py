@@ -32,9 +32,9 @@ def furnish_living(room: FurnishedRoom) -> bool:
     if not _put_sofa(room):
         return False
     sofa = next(p for p in room.items if p.kind == "sofa")
-    behind = wall_of(room, sofa)
-    if behind:
-        hang_above(room, "painting", sofa, behind)
+    wall_behind = wall_of(room, sofa)
+    if wall_behind:
+        hang_above(room, "painting", sofa, wall_behind)
     if room.view.area > 17.0:
         table = put_table(
             room,
@@ -161,10 +161,10 @@ def _add_armchair(room: FurnishedRoom) -> None:
 def furnish_bedroom(room: FurnishedRoom) -> bool:
     """Furnishes a bedroom: bed with nightstands, wardrobe, chest of drawers, sometimes a desk."""
     double = room.view.area > 9.5 and not (room.view.room.name.endswith(("_2", "_3")) and room.rng.random() < 0.5)
-    one = (1,) if room.rng.random() < 0.5 else (-1,)
-    beds: list[tuple[str, tuple[int, ...]]] = [("double_bed", (1, -1)), ("double_bed", one)] if double else []
+    one_side = (1,) if room.rng.random() < 0.5 else (-1,)
+    beds: list[tuple[str, tuple[int, ...]]] = [("double_bed", (1, -1)), ("double_bed", one_side)] if double else []
     if not (double and room.strict):
-        beds.append(("single_bed", one))
+        beds.append(("single_bed", one_side))
     if not any(_put_bed(room, kind, sides) for kind, sides in beds):
         return False
     wardrobe = place_at_wall(room, "wardrobe", near_corner(room, 1.6)) or place_at_wall(

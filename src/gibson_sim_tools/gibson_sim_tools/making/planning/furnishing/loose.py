@@ -5,7 +5,7 @@ from __future__ import annotations
 from gibson_sim_tools.making.building import Body
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.objects import SIZES
-from gibson_sim_tools.making.planning.rectangles import Rect, around
+from gibson_sim_tools.making.planning.rectangles import Rect, rotated_bounds
 from gibson_sim_tools.making.planning.rooms import WallFace
 from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
@@ -88,8 +88,8 @@ def _place_on_top(room: FurnishedRoom, item: FurnishingItem) -> None:
         for _ in range(12):
             yaw = round(item.yaw + float(room.rng.uniform(-0.5, 0.5)), 4)
             middle = (float(room.rng.uniform(area.x0, area.x1)), float(room.rng.uniform(area.y0, area.y1)))
-            rect = around(middle, yaw, size[0], size[1])
-            if rect.shared(area) >= rect.area - 1e-9 and not any(rect.overlaps(t) for t in occupied):
+            rect = rotated_bounds(middle, yaw, size[0], size[1])
+            if rect.overlap_area(area) >= rect.area - 1e-9 and not any(rect.overlaps(t) for t in occupied):
                 _add_object(room, model, middle, top, yaw, rect, occupied)
                 break
 

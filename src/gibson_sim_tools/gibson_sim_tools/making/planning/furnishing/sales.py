@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from gibson_sim_tools.making.planning.furnishing.dressing import fill_corners
 from gibson_sim_tools.making.planning.furnishing.groups import Group, near_corner, place_at_wall
-from gibson_sim_tools.making.planning.rectangles import Rect, around
+from gibson_sim_tools.making.planning.rectangles import Rect, rotated_bounds
 from gibson_sim_tools.making.planning.rooms import GateView
 from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
@@ -56,7 +56,7 @@ def _put_till(room: FurnishedRoom, entrance: GateView) -> bool:
                     yaw = math.atan2(-sign * face.along[1], -sign * face.along[0])
                     point = face.point(middle + sign * (aside + size[0] / 2), off + size[1] / 2)
                     till = FurnishingItem("till", point, round(yaw, 6) + 0.0, size)
-                    behind = around(till.point_ahead(-size[0] / 2 - 0.4), yaw, 0.8, size[1])
+                    behind = rotated_bounds(till.point_ahead(-size[0] / 2 - 0.4), yaw, 0.8, size[1])
                     yield [till], [till.front(0.9), behind]
 
     return bool(room.place_first(groups()))
@@ -114,7 +114,9 @@ def _put_gondola(
                 "gondola", middle, 0.0 if upright else round(math.pi / 2, 6), (size[0], round(length, 2), size[2])
             )
             depth = min(1.0, aisle - 0.05)
-            if room.place([item], [item.front(depth), around(item.point_ahead(-(size[0] + depth) / 2), item.yaw, depth, length)]):
+            if room.place(
+                [item], [item.front(depth), rotated_bounds(item.point_ahead(-(size[0] + depth) / 2), item.yaw, depth, length)]
+            ):
                 return True
     return False
 
