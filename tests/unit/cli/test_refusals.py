@@ -22,7 +22,7 @@ WRONG = [
     (("run", "--robot", "gibson_bott"), 1, "robot 'gibson_bott' is not found; did you mean 'gibson_bot'? known: ackermann_bot"),
     (("run", "--robot", "left=gibson_bot,right=gibson_bott"), 1, "robot 'gibson_bott' is not found"),
     (("run", "--robot", "left=gibson_bot,gibson_bot"), 1, "robot 'gibson_bot' must be name=robot where there are several"),
-    (("run", "--robot", "left=gibson_bot,left=arm_bot"), 1, "two robots are called 'left'; names must differ"),
+    (("run", "--robot", "left=gibson_bot,left=arm_bot"), 1, "two robots are named 'left'; names must be unique"),
     (("run", "--views", "folow"), 1, "did you mean 'follow'? give follow, orbit, top"),
     (("run", "--camera-outputs", "rgb,dept"), 1, "must be of rgb, depth, semantic"),
     (("run", "--randomise", "exampel"), 1, "did you mean 'example'? known: example"),

@@ -52,7 +52,7 @@ def test_starts_are_given_in_the_order_of_the_robots() -> None:
 @pytest.mark.parametrize(
     ("robots", "start", "words"),
     [
-        ("a=gibson_bot,a=gibson_bot", "", "two robots are called 'a'"),
+        ("a=gibson_bot,a=gibson_bot", "", "two robots are named 'a'"),
         ("a=gibson_bot,gibson_bot", "", "must be name=robot"),
         ("a=gibson_bot,b=gibson_bot", "1,2,3;4,5,6;7,8,9", "3 places for 2 robots"),
     ],

@@ -158,7 +158,7 @@ def test_camera_on_an_optical_link_is_that_link(load: Load) -> None:
         ),
         ("cameras: [{name: c, link: eye, fill_depth: true}]\n", "fill_depth is set without fill"),
         ("cameras: [{name: c, link: ey}]\n", "no link 'ey'; known: base"),
-        ("cameras: [{name: c, link: eye}, {name: c, link: eye}]\n", "names must differ"),
+        ("cameras: [{name: c, link: eye}, {name: c, link: eye}]\n", "names must be unique"),
         ("cameras: [{name: c, link: eye_optical_frame, pose: {}}]\n", "a pose is not allowed"),
         ("cameras: [{name: c, link: eye, width: 1.5}]\n", "whole number"),
         ("cameras: [{name: c, link: eye, fov_y_deg: 200}]\n", "fov_y"),

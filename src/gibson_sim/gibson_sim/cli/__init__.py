@@ -1,1 +1,1 @@
-"""The command line. It starts nodes in processes of their own; the launcher never loads ROS, PyBullet or OpenGL."""
+"""The command line. It starts nodes in separate processes; the launcher never imports ROS, PyBullet or OpenGL."""

@@ -76,7 +76,7 @@ def _discard_output() -> None:
 
 
 def _fail_import(error: ImportError) -> ExitCode:
-    """Prints which package is not installed; raises the error again if the code itself is at fault."""
+    """Prints the name of the package that is not installed; re-raises the error if the import failed for another reason."""
     problem = missing_package(error)
     if problem is None:
         raise error
@@ -89,9 +89,9 @@ def _fail(error: GibsonSimError, code: ExitCode) -> ExitCode:
 
 
 def _parser(words: list[str]) -> argparse.ArgumentParser:
-    """Returns the parser of the sub-command that ``words`` begin with, or of all if they name none.
+    """Returns the parser of the sub-command at the beginning of ``words``, or of all sub-commands.
 
-    Only that command's module is loaded: a launcher needs neither PyBullet nor OpenGL.
+    Imports only the module of that command, since the launcher needs neither PyBullet nor OpenGL.
     """
     parser = Parser(
         prog="gibson-sim",
@@ -108,7 +108,7 @@ def _parser(words: list[str]) -> argparse.ArgumentParser:
     if command and command not in modules and not command.startswith("-"):
         parser.error(f"command {choice_error(command, modules)}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    named = [modules[command]] if command in modules else [] if command == "--version" else modules.values()
-    for module in dict.fromkeys(named):
+    selected = [modules[command]] if command in modules else [] if command == "--version" else modules.values()
+    for module in dict.fromkeys(selected):
         import_module(module).add_parser(subparsers)
     return parser

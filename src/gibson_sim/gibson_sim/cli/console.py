@@ -1,4 +1,4 @@
-"""The launcher's output on stderr: lines of several processes, and below them one line that is rewritten on a terminal."""
+"""Output of the launcher on stderr: lines of several processes, and below them a status line that is rewritten on a terminal."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import time
 from typing import TextIO
 
 _ERASE = "\r\x1b[K"
-"""Moves to the start of the line and erases it."""
+"""Control sequence that moves to the start of the line and erases it."""
 _REPEAT_S = 10.0
-"""Wall time within which a warning is not repeated, seconds."""
+"""Time within which a warning is not repeated, seconds of wall time."""
 
 
 class Console:
-    """Writes whole lines, from any thread, and keeps the status line below them.
+    """Writes lines, from any thread, and keeps the status line below them.
 
     Args:
         out: receives the text; None = stderr, looked up at each call.
@@ -26,7 +26,7 @@ class Console:
         self._lock = threading.Lock()
         self._status = ""
         self._written: dict[str, float] = {}
-        """Texts given to ``was_written``, and when."""
+        """Text given to ``was_written`` -> time of the call."""
 
     @property
     def is_terminal(self) -> bool:
@@ -47,7 +47,7 @@ class Console:
             self._stream.flush()
 
     def was_written(self, text: str) -> bool:
-        """Returns whether this was called with the same text within the last ten seconds: of equal warnings one is enough."""
+        """Returns whether it was called with the same text within the last ten seconds, to suppress repeated warnings."""
         now = time.monotonic()
         with self._lock:
             self._written = {known: at for known, at in self._written.items() if now - at < _REPEAT_S}
@@ -69,7 +69,7 @@ class Console:
 
 
 CONSOLE = Console()
-"""That of this process."""
+"""Console of this process."""
 
 
 def say(text: str) -> None:

@@ -1,4 +1,4 @@
-"""The options of ROS domain and reach, and checks of what is installed; ``processes.environment`` makes the environment of nodes."""
+"""Options of ROS domain and reach, and checks of installed packages; ``processes.environment`` creates the environment of nodes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.reach import REACHES
 
 
 def add_network(parser: argparse._ActionsContainer) -> None:
-    """Adds the options of ROS domain and reach, which ``environment_of`` reads."""
+    """Adds the options of ROS domain and reach for ``environment_of``."""
     parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
     parser.add_argument(
         "--reach",
@@ -32,7 +32,7 @@ def environment_of(args: argparse.Namespace) -> dict[str, str]:
     """Returns the full environment for the nodes of a command with the options of ``add_network``.
 
     Raises:
-        GibsonSimError: the nodes cannot work in the environment.
+        GibsonSimError: the nodes cannot run in the environment.
     """
     environment = node_environment(domain_id=args.domain_id, reach=args.reach)
     domain_of(environment)
@@ -40,10 +40,10 @@ def environment_of(args: argparse.Namespace) -> dict[str, str]:
 
 
 def require_nodes() -> None:
-    """Checks that the packages of the nodes are installed, without loading them.
+    """Checks that the packages of the nodes are installed, without importing them.
 
     Raises:
-        EnvironmentProblemError: one is missing; names it and the remedy.
+        EnvironmentProblemError: a package is missing; the message names it and the remedy.
     """
     from importlib.util import find_spec
 
@@ -56,10 +56,10 @@ def require_nodes() -> None:
 
 
 def require_foxglove() -> None:
-    """Checks that the Foxglove SDK is installed, without loading it.
+    """Checks that the Foxglove SDK is installed, without importing it.
 
     Raises:
-        EnvironmentProblemError: it is not; names the remedy.
+        EnvironmentProblemError: it is not installed; the message names the remedy.
     """
     from importlib.util import find_spec
 
@@ -70,7 +70,7 @@ def require_foxglove() -> None:
 
 
 def is_free(host: str, port: int) -> bool:
-    """Returns whether a server could listen on a TCP port."""
+    """Returns whether a server can listen on a TCP port."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -1,4 +1,4 @@
-"""Jobs of several nodes: starts them together, monitors them, stops them in order, and reports."""
+"""Jobs of several nodes: starts, monitors and stops the nodes in order, and reports."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from gibson_sim.reach import describe_reach
 from gibson_sim.writing import write_file
 
 MAX_RESTARTS, RESTART_WINDOW_S = 3, 600.0
-"""Restarts of a crashing render node within a window, seconds of wall time; one more crash ends the run."""
+"""Maximum number of restarts of a crashing render node within a window, seconds of wall time; another crash ends the run."""
 USER_ERROR = 1
-"""Exit code of a node whose settings, scene or machine is at fault: a restart would not help."""
+"""Exit code of a node for errors in settings, scene or machine, which a restart would not fix."""
 _LOADING = ("physics", "render")
-"""Nodes that take long to load, in the order in which they start; the others start once physics has a world."""
+"""Nodes that take long to load, in their start order; the other nodes start once physics has loaded the world."""
 ENDS_THE_JOB = ("physics", "drive", "snapshot", "replay", "task")
-"""Nodes whose end is the end of the job."""
+"""Nodes whose exit ends the job."""
 STATE_TOPIC, ROBOTS, CAMERAS, COMMANDS, WEB = "scene_state", "robots", "cameras", "commands", "page"
-"""Topics, and groups of topics, whose subscribers physics awaits before time begins; for commands, their publishers; and the page."""
+"""Topics, and groups of topics, whose subscribers (publishers for commands) physics waits for before time starts; and the page."""
 END_FIRST = ("physics", "render", "record")
-"""Nodes that stop first, in this order, so that the recording lasts to the last step, its images included; then all others."""
+"""Nodes that are stopped first, in this order, so that the recording contains the last step with its images; then the others."""
 
 
 @dataclass
@@ -46,13 +46,13 @@ class Job:
     folder: Path
     """Temporary folder of the nodes' reports."""
     configs: dict[str, Any] = field(default_factory=dict)
-    """Node name -> settings; started from the last to the first."""
+    """Node name -> settings; the nodes are started in reverse order."""
     bag: Path | None = None
     keep_bag: bool = False
     video: Path | None = None
     summary: Path | None = None
     hints: Hints | None = None
-    """For the lines that are printed once all is ready, and then again and again; None = neither."""
+    """Content of the ready and status lines; None = these are not printed."""
 
 
 def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[int, dict[str, dict[str, Any]]]:
@@ -60,13 +60,13 @@ def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[i
 
     Args:
         plan: returns the job; receives a temporary folder for the reports of the nodes.
-        environment: of the nodes.
+        environment: environment of the nodes.
 
     Returns:
         The exit code, and the report of each node.
 
     Raises:
-        GibsonSimError: the job is invalid, or another simulation runs in the domain; nothing was started.
+        GibsonSimError: the job is invalid, or another simulation is running in the domain; no process has been started.
     """
     with JobFolder() as folder:
         job = plan(folder.path)
@@ -81,7 +81,7 @@ def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[i
 
 
 def check_new_bag(bag: Path, reserve_mb: float) -> None:
-    """Checks that a bag can be recorded in a folder, with ``reserve_mb`` of the disk left free.
+    """Checks that a bag can be recorded in a folder, with ``reserve_mb`` of free disk space remaining.
 
     Raises:
         RecordError: the folder is not empty, or the disk is full.
@@ -92,17 +92,17 @@ def check_new_bag(bag: Path, reserve_mb: float) -> None:
 
 
 class JobRun:
-    """The running job."""
+    """A running job."""
 
     def __init__(self, job: Job, environment: dict[str, str], *, inherit: Sequence[int] = ()) -> None:
-        """``inherit``: file descriptors that every node inherits."""
+        """``inherit``: file descriptors that all nodes inherit."""
         self._job, self._environment, self._inherit = job, environment, inherit
         self._nodes: dict[str, NodeProcess] = {}
         self._restarts = Restarts(MAX_RESTARTS, RESTART_WINDOW_S)
         self._code = ExitCode.OK
         self._accepted = "physics" not in job.configs
         self.found: dict[str, dict[str, Any]] = {}
-        """Node name -> its report, at the end of the job."""
+        """Node name -> report, at the end of the job."""
         self._status = JobStatus(job.folder, list(job.configs))
         self._was_ready = False
         self._next_status = 0.0
@@ -112,7 +112,7 @@ class JobRun:
         stop = StopRequest()
         remove_dead_segments()  # a new participant waits for an answer on the port of a dead process
         try:
-            # Scenes and cameras are validated before any other node writes or prints anything.
+            # Validate scenes and cameras before other nodes produce output.
             for name in _LOADING:
                 if name in self._job.configs:
                     self._start(name)
@@ -140,7 +140,7 @@ class JobRun:
         self._nodes[name] = NodeProcess(name, self._job.configs[name], self._environment, inherit=self._inherit, silent=silent)
 
     def _accept(self, loaded: str) -> bool:
-        """Starts the other nodes, once physics has loaded scene and robots; returns False if a requested camera does not exist."""
+        """Starts the other nodes after physics has loaded scene and robots; returns False if a requested camera does not exist."""
         try:
             if "render" in self._job.configs:
                 self._job.configs["render"].check_cameras([camera["name"] for camera in json.loads(loaded)["cameras"]])
@@ -158,7 +158,7 @@ class JobRun:
         return True
 
     def _show_status(self, hints: Hints) -> None:
-        """Prints once that all is ready; shows the present state, as a line that is rewritten or as one every ten seconds."""
+        """Prints the ready lines once; shows the current state, as a line that is rewritten or as a new line every ten seconds."""
         now = time.monotonic()
         if not self._was_ready and self._status.is_ready:
             self._was_ready = True
@@ -176,7 +176,7 @@ class JobRun:
             say(line)
 
     def _finished(self) -> bool:
-        """Polls the nodes and restarts a crashed render node; returns whether the job is over."""
+        """Polls the nodes and restarts a crashed render node; returns whether the job has ended."""
         for name, node in list(self._nodes.items()):
             code = node.poll()
             if code is None:
@@ -210,14 +210,14 @@ class JobRun:
 
     def _stop_all(self, stop: StopRequest) -> None:
         """Stops the nodes in order, see ``END_FIRST``."""
-        asked = stop.count
+        requests = stop.count
         for name in (*END_FIRST, *self._job.configs):
             node = self._nodes.pop(name, None)
             if node is not None:
-                node.stop(hurry=lambda: stop.count > asked + 1)
+                node.stop(hurry=lambda: stop.count > requests + 1)
 
     def _report(self) -> None:
-        """Prints the reports of the nodes, and writes summary and pictures."""
+        """Prints the reports of the nodes, and writes summary and images."""
         names = dict.fromkeys(("physics", "render", "record", *self._job.configs))
         read = {name: _read_json(self._job.folder / f"{name}.json") for name in names}
         found = self.found = {name: values for name, values in read.items() if values or name in ("physics", "render", "record")}
@@ -248,10 +248,10 @@ class JobRun:
 
 
 class Restarts:
-    """Limits the restarts of a node: a fault that recurs at once ends the run, an occasional one does not.
+    """Limits the rate of restarts of a node: repeated crashes end the run, occasional ones do not.
 
     Args:
-        limit: restarts within a window, at most.
+        limit: maximum number of restarts within a window.
         window_s: length of the window, seconds.
         now_s: monotonic clock, seconds.
     """
@@ -260,10 +260,10 @@ class Restarts:
         self._limit, self._window_s, self._now_s = limit, window_s, now_s
         self._recent: deque[float] = deque()
         self.total = 0
-        """Restarts since the beginning."""
+        """Total number of restarts."""
 
     def allow(self) -> bool:
-        """Returns whether the node may be restarted, and counts the restart."""
+        """Counts a restart and returns whether it is allowed."""
         now = self._now_s()
         while self._recent and now - self._recent[0] >= self._window_s:
             self._recent.popleft()

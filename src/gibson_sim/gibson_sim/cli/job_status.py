@@ -1,4 +1,4 @@
-"""What the launcher says about a running job: once all is ready, and while it runs. Pure: from the notes that the nodes leave."""
+"""Status output of the launcher for a running job: once when all nodes are ready, and while it runs. Pure: reads the status files of the nodes."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from typing import Any
 from gibson_sim.processes.job_folder import LOADED, PAGE, READY, STATUS, read_note
 
 PERIOD_S = 10.0
-"""Wall time between two lines where no terminal rewrites one, seconds."""
+"""Interval between two status lines without a terminal, seconds of wall time."""
 _MOST_NAMES = 3
-"""Names of things that a robot touches on one line."""
+"""Maximum number of touched objects that are named per robot."""
 
 
 @dataclass(frozen=True)
 class Hints:
-    """What the ready lines tell besides the notes of the nodes."""
+    """Content of the ready lines in addition to the status files of the nodes."""
 
     domain: int
     """ROS domain."""
     drive: str = ""
-    """What drives the robots already; empty = nothing, so the line says how to."""
+    """Source of commands that already drives the robots; empty = none, so the line names the options."""
     stop: str = "Ctrl-C"
-    """When the job ends."""
+    """Condition that ends the job."""
     paused: bool = False
-    """Whether time begins with a request."""
+    """Whether time starts only on request."""
 
 
 class JobStatus:
-    """Reads the notes of a job's nodes.
+    """Reads the status files of a job's nodes.
 
     Args:
-        folder: of the job.
+        folder: folder of the job.
         nodes: names of its nodes, in the order in which they load.
     """
 
@@ -43,11 +43,11 @@ class JobStatus:
 
     @property
     def is_ready(self) -> bool:
-        """Whether time has begun, or begins with the first request."""
+        """Whether time has started, or will start with the first request."""
         return (self._folder / READY).exists()
 
     def ready_lines(self, hints: Hints) -> list[str]:
-        """Returns what a user needs to know once all nodes are ready, one line each."""
+        """Returns the lines for the user once all nodes are ready."""
         loaded = json.loads(read_note(self._folder, LOADED) or "{}")
         robots = ", ".join(f"{r['name']} ({r['model']})" for r in loaded.get("robots", ())) or "none"
         cameras = ", ".join(
@@ -69,12 +69,12 @@ class JobStatus:
         return [*lines, f"stop: {hints.stop}"]
 
     def line(self) -> str:
-        """Returns the present state in one line: what loads, or how the simulation goes; empty if nothing is known yet."""
-        found = {name: self._read(name) for name in ("physics", *self._nodes)}
+        """Returns the current state in one line: loading progress, or state of the simulation; empty = unknown yet."""
+        statuses = {name: self._read(name) for name in ("physics", *self._nodes)}
         if not self.is_ready:
-            loading = [f"{name}: {values['loading']}" for name, values in found.items() if values.get("loading")]
+            loading = [f"{name}: {values['loading']}" for name, values in statuses.items() if values.get("loading")]
             return f"loading: {', '.join(loading)}" if loading else ""
-        p, r = found["physics"], found.get("render", {})
+        p, r = statuses["physics"], statuses.get("render", {})
         if "simulation_time_s" not in p:
             return ""
         parts = [f"{p['simulation_time_s']:.1f} s"]

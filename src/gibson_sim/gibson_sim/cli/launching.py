@@ -1,7 +1,7 @@
-"""Arguments of ``sim.launch.py``, and the parameters that it passes to its nodes, from the nodes' settings. Without the launch package.
+"""Arguments of ``sim.launch.py`` and parameters of its nodes, derived from the settings of the nodes. Independent of the launch package.
 
-Every setting of a node is an argument. Only given arguments are passed to a node, and they override ``params_file``; other settings
-come from that file, else they have their defaults.
+Every setting of a node is an argument. Only given arguments are passed to a node, and they override ``params_file``; the other settings
+are read from that file, else they have their defaults.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from gibson_sim.resources import find_config
 from gibson_sim.settings import Value, nearest
 
 CONFIGS: dict[str, type[Any]] = {"physics": PhysicsConfig, "render": RenderConfig}
-"""The nodes that the launch file starts, with their settings."""
+"""Node that the launch file starts -> settings class."""
 VIEWERS: dict[str, type[Any]] = {"web": WebConfig, "foxglove": FoxgloveConfig}
-"""The nodes that it starts if the argument of their name is true, with their settings, ``<node>_<setting>``."""
+"""Node that it starts if the argument of that name is true -> settings class; the arguments are ``<node>_<setting>``."""
 PAGE_VIEWS = "follow,top"
-"""Views of a simulation with a page where none are given; they are drawn only while a page shows them."""
+"""Default views of a simulation with a page; they are rendered only while a page shows them."""
 RVIZ, RVIZ_FILE = "rviz", "sim.rviz"
 _SECTION = "ros__parameters"
 _BOOLEANS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
 _RCLPY = ("use_sim_time", "start_type_description_service")
-"""Parameters that every node of rclpy has."""
+"""Parameters of every rclpy node."""
 
 
 @dataclass(frozen=True)
@@ -44,23 +44,23 @@ class Argument:
 
     name: str
     default: str
-    """As text."""
+    """Default value, as text."""
     description: str
-    """Meaning and allowed values."""
+    """Description and allowed values."""
     choices: tuple[str, ...] = ()
     """All allowed values; empty = too many to list."""
 
 
 @dataclass(frozen=True)
 class _Setting:
-    """The setting behind an argument."""
+    """The setting of an argument."""
 
     node: str
     field: Field[Any]
 
 
 def _settings() -> dict[str, _Setting]:
-    """Returns the settings by argument name; a name that several nodes have is prefixed with the node's name."""
+    """Returns argument name -> setting; names that several nodes have are prefixed with the name of the node."""
     names = [f.name for cls in CONFIGS.values() for f in fields(cls)]
     return {
         f.name if names.count(f.name) == 1 else f"{node}_{f.name}": _Setting(node, f)
@@ -133,7 +133,7 @@ class NodeStart:
     node: str
     """Name of the node; the program is ``<node>_node``."""
     parameters: dict[str, Value] = field(default_factory=dict)
-    """Given parameters, and those that follow from them."""
+    """Given and derived parameters."""
 
 
 @dataclass(frozen=True)
@@ -142,20 +142,20 @@ class LaunchPlan:
 
     namespace: str
     params_file: Path | None
-    """Absolute."""
+    """Absolute path of the parameter file; None = none."""
     nodes: tuple[NodeStart, ...]
     reach: str | None = None
-    """Who can reach the nodes; None = by the environment."""
+    """Reach of the nodes; None = that of the environment."""
     sections: Any = None
-    """Content of the file."""
+    """Content of the parameter file."""
     rviz: tuple[str, ...] | None = None
-    """Arguments of the program rviz2; None = it is not started."""
+    """Arguments of rviz2; None = not started."""
 
     def overriding(self, start: NodeStart) -> str:
-        """Returns the text of a parameter file that overrides ``params_file`` when it is read after it.
+        """Returns the text of a parameter file that overrides ``params_file`` when it is loaded after it.
 
-        ROS applies the sections of all files in the order in which each first appeared, so ``/**`` of a later file does not override
-        ``physics`` of an earlier one: every section of that file is repeated.
+        ROS applies the sections of all files in the order of their first appearance, so ``/**`` of a later file does not override ``physics``
+        of an earlier one; therefore every section of that file is repeated.
         """
         values = {_SECTION: start.parameters}
         return json.dumps({**_with_values(self.sections or {}, values), "/**": values}, indent=1) + "\n"
@@ -165,10 +165,10 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
     """Returns the nodes that the launch file starts.
 
     Args:
-        given: given arguments as text; unknown ones are ignored, except ``ros_namespace``, in which launch files start nodes.
+        given: given arguments as text; unknown ones are ignored, except ``ros_namespace``, the namespace in which launch files start nodes.
 
     Raises:
-        GibsonSimError: a value in an argument or in ``params_file`` is not allowed, or names something that does not exist.
+        GibsonSimError: a value in an argument or in ``params_file`` is not allowed, or refers to an object that does not exist.
     """
     values: dict[str, dict[str, Value]] = {node: {} for node in (*CONFIGS, *VIEWERS)}
     for name, setting in _SETTINGS.items():
@@ -179,17 +179,17 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
     file = Path(os.path.expanduser(given["params_file"])).absolute() if given.get("params_file") else None
     sections = _read(file) if file else {}
     starts = []
-    wanted = {name: _value(name, given.get(name, "false"), bool) for name in (*VIEWERS, RVIZ)}
-    with_render = wanted["render"] = bool(_value("render", given.get("render", "true"), bool))
+    enabled = {name: _value(name, given.get(name, "false"), bool) for name in (*VIEWERS, RVIZ)}
+    with_render = enabled["render"] = bool(_value("render", given.get("render", "true"), bool))
     settings: dict[str, dict[str, Value]] = {}
     for node, cls in {**CONFIGS, **VIEWERS}.items():
-        if not wanted.get(node, True):
+        if not enabled.get(node, True):
             continue
         read = _node_settings(file, sections, [*within, node])
         if node == "physics" and with_render and values[node].get("lockstep"):
-            # If the renderer is not named, the first ticks are over before it has joined.
+            # Name the renderer, so that time waits until it has joined.
             values[node].setdefault("participants", read.get("participants", "/".join([*within, "render"])))
-        if node == "physics" and wanted["web"] and with_render and "views" not in read:
+        if node == "physics" and enabled["web"] and with_render and "views" not in read:
             values[node].setdefault("views", PAGE_VIEWS)
         settings[node] = {**read, **values[node]}
         try:
@@ -202,7 +202,7 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
             parameters["use_sim_time"] = _value("use_sim_time", given["use_sim_time"], bool)
         starts.append(NodeStart(node, parameters))
     rviz = None
-    if wanted[RVIZ]:
+    if enabled[RVIZ]:
         file_of_rviz = find_config(given.get("rviz_config") or RVIZ_FILE)
         frame = given.get("rviz_frame") or ("map" if settings["physics"].get("publish_map_tf") else "odom")
         rviz = ("-d", str(file_of_rviz), "-f", frame)
@@ -210,7 +210,7 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
 
 
 def misspelt(names: list[str]) -> list[str]:
-    """Returns a warning for each of ``names`` that resembles an argument but is none, which launch ignores silently."""
+    """Returns a warning for each of ``names`` that is similar to an argument but unknown, which launch ignores silently."""
     known = [argument.name for argument in arguments()]
     hints = ((name, nearest(name, known)) for name in names if name not in known)
     return [f"argument {quoted(name)} is unknown and changes nothing; {hint}" for name, hint in hints if hint]
@@ -249,17 +249,17 @@ def _read(file: Path) -> dict[str, Any]:
     return dict(tree)
 
 
-def _sections(tree: Mapping[Any, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Yields the name of each section, with its namespaces, and its content."""
+def _sections(tree: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yields (name including namespaces, content) of each section."""
     for key, value in tree.items():
         if key == _SECTION:
-            yield before, value
+            yield prefix, value
         elif isinstance(value, Mapping):
-            yield from _sections(value, f"{before}/{str(key).strip('/')}")
+            yield from _sections(value, f"{prefix}/{str(key).strip('/')}")
 
 
 def _with_values(tree: Mapping[Any, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """Returns the same sections with other values."""
+    """Returns the sections with other values."""
     return {
         str(key): values if _SECTION in value else _with_values(value, values)
         for key, value in tree.items()
@@ -268,10 +268,10 @@ def _with_values(tree: Mapping[Any, Any], values: dict[str, Any]) -> dict[str, A
 
 
 def _node_settings(file: Path | None, tree: Mapping[Any, Any], name: list[str]) -> dict[str, Value]:
-    """Returns the settings of a node in a file; ``name`` is that of the node, preceded by its namespaces."""
+    """Returns the settings of a node in a file; ``name``: namespaces and name of the node."""
     node = name[-1]
     known = [f.name for f in fields({**CONFIGS, **VIEWERS}[node])]
-    found: dict[str, Value] = {}
+    settings: dict[str, Value] = {}
     for section, values in _sections(tree):
         if not _matches(section.strip("/").split("/"), name):
             continue
@@ -279,17 +279,17 @@ def _node_settings(file: Path | None, tree: Mapping[Any, Any], name: list[str]) 
             raise ConfigError(f"params_file {file}: {section.strip('/')}: {_SECTION} must be a list of 'name: value' lines")
         for key, value in values.items():
             if key in known:
-                found[key] = value
+                settings[key] = value
             elif node in section and key not in _RCLPY and not str(key).startswith("qos_overrides"):
                 hint = nearest(str(key), known)
                 raise ConfigError(
                     f"params_file {file}: {section.strip('/')} has no parameter {quoted(str(key))}{f'; {hint}' if hint else ''}"
                 )
-    return found
+    return settings
 
 
 def _matches(pattern: list[str], name: list[str]) -> bool:
-    """Returns whether the name of a section matches a node: ``*`` is one part of its name, ``**`` any number of them."""
+    """Returns whether the name of a section matches a node: ``*`` matches one part of its name, ``**`` any number of parts."""
     if not pattern or not name:
         return not name and all(part == "**" for part in pattern)
     if pattern[0] == "**":
@@ -298,7 +298,7 @@ def _matches(pattern: list[str], name: list[str]) -> bool:
 
 
 def _is_invalid(cls: Callable[..., Any], read: Mapping[str, Value]) -> bool:
-    """Returns whether a file's settings are invalid by themselves."""
+    """Returns whether the settings of a file are invalid without the arguments."""
     try:
         cls(**read)
     except ConfigError:

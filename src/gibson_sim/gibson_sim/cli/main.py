@@ -1,4 +1,4 @@
-"""Entry point of ``gibson-sim``. Imports everything else after Ctrl-C is set to end the process silently."""
+"""Entry point of ``gibson-sim``. Configures Ctrl-C to end the process silently before it imports other modules."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def main(argv: list[str] | None = None) -> None:
     """Runs a sub-command and ends the process with its exit code; errors are one line on stderr.
 
     Args:
-        argv: arguments of ``gibson-sim``; None = those of this process, which is ``gibson-sim`` itself.
+        argv: arguments of ``gibson-sim``; None = those of this process.
     """
     if argv is None:
         interrupts.end_silently()

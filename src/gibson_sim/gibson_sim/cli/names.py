@@ -1,4 +1,4 @@
-"""Resolves the names in settings (scenes, robots, drives, rules) before anything starts. Loads neither ROS, PyBullet nor OpenGL."""
+"""Validates the names in settings (scenes, robots, drives, rules) before processes are started. Imports neither ROS, PyBullet nor OpenGL."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from gibson_sim.settings import Names
 
 
 def check_names(config: Any) -> None:
-    """Checks that everything that a node's settings name exists.
+    """Checks that the objects that a node's settings name exist.
 
     Raises:
-        GibsonSimError: a setting names something that does not exist or cannot be read.
+        GibsonSimError: a named object does not exist or cannot be read.
     """
     for f in fields(config):
         value = getattr(config, f.name)
@@ -28,7 +28,7 @@ def check_names(config: Any) -> None:
 
 
 def _check_scene(name: str) -> None:
-    """Finds a scene and parses its description as YAML or XML; a full check would take as long as loading the scene."""
+    """Finds a scene and checks that its description is valid YAML or XML; a full check would take as long as loading the scene."""
     from gibson_sim.reading import parse_xml, read_file, read_yaml_file
     from gibson_sim.scenes.drake_directives import parse_directives
     from gibson_sim.scenes.load import description_file
@@ -49,7 +49,7 @@ def _check_scene(name: str) -> None:
 
 
 def _check_robots(text: str) -> None:
-    """Loads robots as the physics node will, several as ``name=robot``; warnings are left to that node."""
+    """Loads robots like the physics node, several as ``name=robot``; the node reports the warnings."""
     from gibson_sim.cli.quiet import quiet
     from gibson_sim.scenes.robot_files import load_robot
 
@@ -62,7 +62,7 @@ def _check_robots(text: str) -> None:
             name, _, robot = (word.strip() for word in part.partition("="))
             if name and robot:
                 if name in names:
-                    raise ConfigError(f"two robots are called {quoted(name)}; names must differ")
+                    raise ConfigError(f"two robots are named {quoted(name)}; names must be unique")
                 names.append(name)
                 load_robot(robot, name=name)
             else:

@@ -1,4 +1,4 @@
-"""Converts settings of nodes to command-line options, and settings to arguments of node processes."""
+"""Converts settings of nodes to command-line options, and parsed options to settings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 _UNITS = {"m": "METRES", "s": "SECONDS", "px": "PIXELS", "N": "NEWTONS"}
-"""Units in full; others are written as they are, in capitals."""
+"""Unit -> full name; other units are written in capitals."""
 _METAVARS = {
     "asset_roots": "DIRS",
     "cache": "DIR",
@@ -36,16 +36,16 @@ _METAVARS = {
     "view_size": "WxH",
     "views": "NAMES|FILE",
 }
-"""What the value of an option is, by setting, where neither its unit nor its type tells."""
+"""Setting -> placeholder of its value in the help, if neither unit nor type describes it."""
 
 
 def add_settings(parser: argparse._ActionsContainer, cls: type[Any], names: Iterable[str]) -> None:
-    """Adds one option for each named field of the settings class ``cls``: ``step_hz`` becomes ``--step-hz``."""
-    wanted = set(names)
+    """Adds an option for each named field of the settings class ``cls``: ``--step-hz`` for ``step_hz``."""
+    remaining = set(names)
     for f in fields(cls):
-        if f.name not in wanted:
+        if f.name not in remaining:
             continue
-        wanted.discard(f.name)
+        remaining.discard(f.name)
         text = f"{f.metadata['doc']}{_default_of(f.default)}".replace("%", "%%")
         flag = "--" + f.name.replace("_", "-")
         if isinstance(f.default, bool):
@@ -54,11 +54,11 @@ def add_settings(parser: argparse._ActionsContainer, cls: type[Any], names: Iter
             kind = _parser_of(f.name, type(f.default))
             action = parser.add_argument(flag, dest=f.name, type=kind, default=None, metavar=_metavar(f), help=text)
             action.suggestions = f.metadata["choices"]  # type: ignore[attr-defined]  # for shell completion: the class checks them
-    assert not wanted, f"{cls.__name__} has no settings {sorted(wanted)}"
+    assert not remaining, f"{cls.__name__} has no settings {sorted(remaining)}"
 
 
 def _metavar(f: Field[Any]) -> str:
-    """Returns what help shows for the value of an option."""
+    """Returns the placeholder of the value of an option in the help."""
     if f.metadata["choices"]:
         return f"{{{','.join(f.metadata['choices'])}}}"
     if f.name in _METAVARS:
@@ -70,14 +70,14 @@ def _metavar(f: Field[Any]) -> str:
 
 
 def _default_of(default: Any) -> str:
-    """Returns what help says of a default; nothing of an empty text, whose meaning the setting's doc tells, and of what is off."""
+    """Returns the text about a default in the help; empty for an empty text, which the description explains, and for False."""
     if default == "" or default is False:
         return ""
     return f" (default: {'on' if default is True else f'{default:g}' if isinstance(default, float) else default})"
 
 
 def _parser_of(name: str, kind: type[Any]) -> Any:
-    """Returns the function that converts text to the setting's type; a rate of ``max`` is 0, as fast as possible."""
+    """Returns the function that converts text to the type of the setting; a rate of ``max`` is 0, as fast as possible."""
     if name == "rate":
 
         def rate(text: str) -> float:
@@ -91,17 +91,17 @@ def _parser_of(name: str, kind: type[Any]) -> Any:
 
 
 def given(args: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
-    """Returns the settings among ``names`` that were given as options."""
+    """Returns the settings in ``names`` that were given as options."""
     return {name: getattr(args, name) for name in names if getattr(args, name, None) is not None}
 
 
-def settings_from_args(cls: type[T], args: argparse.Namespace, **sure: Any) -> T:
-    """Returns ``cls`` with the given options, overridden by ``sure``.
+def settings_from_args(cls: type[T], args: argparse.Namespace, **overrides: Any) -> T:
+    """Returns ``cls`` with the given options, overridden by ``overrides``.
 
     Raises:
-        GibsonSimError: a value is not allowed or names something that does not exist.
+        GibsonSimError: a value is not allowed, or refers to an object that does not exist.
     """
     names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-    config = cls(**{**given(args, names), **sure})
+    config = cls(**{**given(args, names), **overrides})
     check_names(config)
     return config

@@ -15,7 +15,7 @@ from gibson_sim.settings import nearest
 
 
 class ExitCode(IntEnum):
-    """Exit codes; ``MEANING`` explains them."""
+    """Exit codes; ``MEANING`` describes them."""
 
     OK = 0
     ERROR = 1
@@ -41,23 +41,23 @@ _MISTAKEN = {
     "--headless": "leave it out: there is no window; --no-render makes no images",
     "--gui": "leave it out: --web serves a page for your browser",
 }
-"""Options of other simulators, with what to do here."""
+"""Option of other simulators -> hint."""
 _NEGATIVE = re.compile(r"-([xyz]$|[0-9.])")
-"""Axes and numbers, also lists of them with commas."""
+"""Pattern of negative axes and numbers, and of lists that begin with one."""
 
 
 class Parser(argparse.ArgumentParser):
-    """An ``argparse`` parser with one-line errors; the parsers of its sub-commands are of this class too."""
+    """An ``argparse`` parser with one-line errors; the parsers of its sub-commands have the same class."""
 
     def error(self, message: str) -> NoReturn:
-        """Ends the process with one line on stderr, without the usage of all options."""
+        """Exits with one line on stderr, without the usage text."""
         print(f"gibson-sim: error: {message}; see `{self.prog} --help`", file=sys.stderr)
         sys.exit(int(ExitCode.USAGE))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Rejects unknown options here, where the known ones are available for the hint."""
+        """Rejects unknown options in the parser that knows the valid ones, for the hint."""
         words = list(sys.argv[1:] if args is None else args)
-        found, rest = super().parse_known_args(self._joined(words), namespace)
+        namespace_parsed, rest = super().parse_known_args(self._joined(words), namespace)
         if rest:
             known = [flag for flag in self._option_string_actions if flag.startswith("--")]
             word = rest[0].partition("=")[0]
@@ -65,10 +65,10 @@ class Parser(argparse.ArgumentParser):
             if not hint and "--scene" in known and not word.startswith("-"):
                 hint = f"is it a scene? --scene {word}"
             self.error(f"unrecognized arguments: {' '.join(rest)}" + (f"; {hint}" if hint else ""))
-        return found, rest
+        return namespace_parsed, rest
 
     def _joined(self, words: list[str]) -> list[str]:
-        """Joins each value that begins with a minus to its option; argparse would otherwise treat it as an option."""
+        """Joins values that begin with a minus to their options, since argparse would treat them as options."""
         out: list[str] = []
         for word in words:
             action = self._option_string_actions.get(out[-1]) if out else None
@@ -85,12 +85,12 @@ class Parser(argparse.ArgumentParser):
 
 
 def choice_error(value: object, known: Iterable[object]) -> str:
-    """Returns the error for an unknown value, with the nearest known one."""
+    """Returns the error text for an unknown value, with the nearest known one."""
     names: Sequence[str] = [str(name) for name in known]
     hint = nearest(str(value), names)
     return f"{quoted(value)} is unknown; {f'{hint} ' if hint else ''}known: {', '.join(names)}"
 
 
 def table() -> str:
-    """Returns the exit codes as text, one a line."""
+    """Returns the exit codes as text, one per line."""
     return "exit codes:\n" + "\n".join(f"{int(code):>3}  {text}" for code, text in MEANING.items())

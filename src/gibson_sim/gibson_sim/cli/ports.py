@@ -1,4 +1,4 @@
-"""TCP ports that a user asks for, checked before anything starts, so that an error names the option that was typed."""
+"""Checks requested TCP ports before processes are started, so that an error names the option."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import socket
 from gibson_sim.errors import ConfigError
 
 _PROBE_S = 1.0
-"""Wall time for the page at a port that is taken to answer, s."""
+"""Timeout for a response of the page at an occupied port, s of wall time."""
 _TITLE = b"<title>Gibson Sim</title>"
 
 
 def check_port(option: str, host: str, port: int) -> None:
-    """Checks a port that was asked for; 0 = any that is free. Whether the address exists is the server's to say.
+    """Checks a requested port; 0 = any free port. The server itself checks the address.
 
     Args:
-        option: that was typed, such as ``--web-port``.
+        option: option of the port, such as ``--web-port``.
         host: address to listen on.
-        port: of TCP.
+        port: TCP port.
 
     Raises:
         ConfigError: the port cannot be used.
@@ -33,14 +33,14 @@ def check_port(option: str, host: str, port: int) -> None:
             probe.bind((host, port))
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                there = f"open {_url(host, port)}, where a page is served already, or " if _is_our_page(host, port) else ""
-                raise ConfigError(f"{option} {port} is taken on {host}; {there}choose another port") from error
+                hint = f"open {_url(host, port)}, where a page is served already, or " if _is_our_page(host, port) else ""
+                raise ConfigError(f"{option} {port} is taken on {host}; {hint}choose another port") from error
             if error.errno == errno.EACCES:
                 raise ConfigError(f"{option} {port} cannot be used: {error.strerror}; choose a port above 1023") from error
 
 
 def _is_our_page(host: str, port: int) -> bool:
-    connection = http.client.HTTPConnection(_reached(host), port, timeout=_PROBE_S)
+    connection = http.client.HTTPConnection(_reachable_address(host), port, timeout=_PROBE_S)
     try:
         connection.request("GET", "/")
         return _TITLE in connection.getresponse().read(4096)
@@ -50,11 +50,11 @@ def _is_our_page(host: str, port: int) -> bool:
         connection.close()
 
 
-def _reached(host: str) -> str:
-    """Returns the address under which this machine reaches a server that listens on ``host``."""
+def _reachable_address(host: str) -> str:
+    """Returns the address at which this machine reaches a server that listens on ``host``."""
     return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
 
 
 def _url(host: str, port: int) -> str:
-    reached = _reached(host)
-    return f"http://{f'[{reached}]' if ':' in reached else reached}:{port}/"
+    address = _reachable_address(host)
+    return f"http://{f'[{address}]' if ':' in address else address}:{port}/"

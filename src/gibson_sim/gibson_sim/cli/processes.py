@@ -21,13 +21,13 @@ _ERROR = re.compile(
     |(?P<native>Fatal\ Python\ error:\ .+|terminate\ called\ .+|[A-Za-z_][\w.]*(?:Error|Exception)(?::\ .+)?)$  # the end of a stack""",
     re.VERBOSE,
 )
-"""Matches a line that reports an error; ``[INFO] ...`` never does."""
+"""Pattern of lines that report an error; does not match ``[INFO] ...``."""
 _WARNING = re.compile(r"\[?WARN")
-"""Matches a warning."""
+"""Pattern of warnings."""
 
 
 def become(module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> NoReturn:
-    """Replaces this process by a module of ``gibson_sim.ros.nodes``, which thus owns the terminal, the signals and the exit code."""
+    """Replaces this process by a module of ``gibson_sim.ros.nodes``, so that it owns the terminal, the signals and the exit code."""
     command = command_of(module, *arguments)
     sys.stdout.flush()
     alone = {name: value for name, value in environment.items() if name != PARENT_VARIABLE}
@@ -37,7 +37,7 @@ def become(module: str, arguments: Sequence[str], environment: Mapping[str, str]
 
 
 class NodeProcess:
-    """One node in a process of its own; its output lines are printed on stderr, prefixed with its name."""
+    """A node in a separate process; its output lines are printed on stderr, prefixed with its name."""
 
     def __init__(
         self,
@@ -52,12 +52,12 @@ class NodeProcess:
         """Starts the node ``<name>_node`` with its settings.
 
         Args:
-            name: of the node.
-            config: its settings.
-            environment: its environment.
-            inherit: file descriptors that it inherits.
-            out: receives its lines; a warning that any node repeats word for word within ten seconds is printed once.
-            silent: whether to hold its lines until ``print_held``; they are dropped if it is stopped before.
+            name: name of the node.
+            config: settings of the node.
+            environment: environment of the process.
+            inherit: file descriptors that the process inherits.
+            out: receives the output lines; identical warnings of any nodes within ten seconds are printed once.
+            silent: whether to buffer the output lines until ``print_held``; they are dropped if the node is stopped before.
         """
         self.name, self.config, self._environment, self._out = (
             name,
@@ -79,7 +79,7 @@ class NodeProcess:
         with self._process.stdout as output:
             for line in output:
                 self._tail.append(line.rstrip())
-                # The last line of a failing node is reported once, by the launcher.
+                # The launcher reports the last line of a failing node, so do not print it twice.
                 self.print_error()
                 if line.startswith("error: "):
                     self._pending_error = line.rstrip()
@@ -96,14 +96,14 @@ class NodeProcess:
         self._out.write(f"{self.name:8} | {line}")
 
     def print_held(self) -> None:
-        """Prints the held lines, and from now on each line at once."""
+        """Prints the buffered lines, and later lines immediately."""
         with self._held_lock:
             held, self._held = self._held or [], None
         for line in held:
             self._print(line)
 
     def print_error(self) -> None:
-        """Prints the error with which the node ended, unless ``reason`` or ``ending`` has returned it."""
+        """Prints the last error of the node, unless ``reason`` or ``ending`` has returned it."""
         line, self._pending_error = self._pending_error, ""
         if line:
             self._print(line)
@@ -114,30 +114,30 @@ class NodeProcess:
         return self._process.pid
 
     def poll(self) -> int | None:
-        """Returns the exit code, negative for a signal, or None while the node runs."""
+        """Returns the exit code, negative for a signal, or None while the node is running."""
         return self._process.poll()
 
     def reason(self) -> str:
-        """Returns the last error reported by the ended node, or how it ended if it reported none."""
+        """Returns the last error that the exited node reported, else how it exited."""
         return self._last_error() or self.ending()
 
     def ending(self) -> str:
-        """Returns how the node ended: the signal or exit code, and the last reported error, if any."""
+        """Returns how the node exited: the signal or exit code, and the last reported error, if any."""
         code = self._process.wait()
         how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with code {code}"
         error = self._last_error()
         return f"the {self.name} node {how}" + (f": {error}" if error else "")
 
     def _last_error(self) -> str:
-        """Returns the error in the newest of the last lines that reports one; empty if none does."""
+        """Returns the most recent error in the last output lines; empty if there is none."""
         self._process.wait()
         self._reader.join(timeout=1.0)
         self._pending_error = ""
-        found = (_ERROR.match(line) for line in reversed(self._tail))
-        return next((match["error"] or match["native"] for match in found if match), "")
+        matches = (_ERROR.match(line) for line in reversed(self._tail))
+        return next((match["error"] or match["native"] for match in matches if match), "")
 
     def stop(self, hurry: Callable[[], bool] = lambda: False) -> int:
-        """Stops the process and returns its exit code; escalates to the next signal early while ``hurry`` returns True."""
+        """Stops the process and returns its exit code; escalates to the next signal earlier while ``hurry`` returns True."""
         end_node(self._process, hurry=hurry)
         self._reader.join(timeout=1.0)
         self.print_error()
@@ -152,7 +152,7 @@ def _signal_name(number: int) -> str:
 
 
 class StopRequest:
-    """Counts SIGINT and SIGTERM while it is open, in place of interrupts."""
+    """Counts SIGINT and SIGTERM while it is open, instead of interrupting."""
 
     def __init__(self) -> None:
         self.count = 0

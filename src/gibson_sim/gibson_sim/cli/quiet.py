@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Suppresses warnings of the log, as a decorator or for a block; restores the level afterwards."""
+    """Suppresses logged warnings, as a decorator or for a block; restores the level afterwards."""
     logger = logging.getLogger("gibson_sim")
     before = logger.level
     logger.setLevel(logging.ERROR)

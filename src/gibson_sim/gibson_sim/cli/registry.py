@@ -1,7 +1,7 @@
-"""The module of each sub-command of ``gibson-sim``: those of this package, and those that other packages add by entry points.
+"""Modules of the sub-commands of ``gibson-sim``: those of this package, and those that other packages add by entry points.
 
-A package adds a command with an entry point of the group ``gibson_sim.commands``, or below ``gibson-sim scene`` with one of the group
-``gibson_sim.scene_commands``: the name is the command, the value a module whose ``add_parser(subparsers)`` describes it.
+A package adds a command by an entry point of the group ``gibson_sim.commands``, or a command of ``gibson-sim scene`` by one of the group
+``gibson_sim.scene_commands``: the name is the command, the value a module with a function ``add_parser(subparsers)``.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ _OF_TOOLS = (
 BROUGHT_BY = {("bench",): "gibson_sim_bench", ("learn",): "gibson_sim_learn"} | {
     ("scene", name): "gibson_sim_tools" for name in _OF_TOOLS
 }
-"""Command -> package that provides it and may not be installed."""
+"""Command -> optional package that provides it."""
 
 
 def command_modules() -> dict[str, str]:
-    """Returns the module of every sub-command of all installed packages."""
+    """Returns sub-command -> module, for all installed packages."""
     return _with_added(COMMANDS, _COMMAND_GROUP)
 
 
 def scene_command_modules() -> dict[str, str]:
-    """Returns the module of every sub-command of ``gibson-sim scene`` of all installed packages."""
+    """Returns sub-command of ``gibson-sim scene`` -> module, for all installed packages."""
     return _with_added(SCENE_COMMANDS, _SCENE_GROUP)
 
 
 def not_installed(words: Sequence[str]) -> str:
-    """Returns the error for a command whose package is not installed; empty for all other command lines."""
+    """Returns the error text for a command whose package is not installed; empty for other command lines."""
     for command, package in BROUGHT_BY.items():
         known = scene_command_modules if len(command) == 2 else command_modules
         if tuple(words[: len(command)]) == command and command[-1] not in known():

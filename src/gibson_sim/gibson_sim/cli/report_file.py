@@ -1,4 +1,4 @@
-"""Shared by measuring commands: the JSON report, progress on stderr, and common options."""
+"""Common parts of measuring commands: JSON report, progress on stderr, options."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def add_report_options(parser: argparse.ArgumentParser, *, markdown: bool = True
 
 
 def write_json(path: Path | None, values: Any) -> None:
-    """Writes values to a file and creates its folder if needed. ``None`` = no file is requested.
+    """Writes values to a JSON file and creates its folder if needed; ``path`` None = no file is requested.
 
     Raises:
         WriteError: the file cannot be written.
@@ -44,15 +44,15 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_device(text: str | None) -> int | str | None:
-    """Parses ``--device``: the index of an EGL device, or a part of its UUID; None = a GPU if there is one."""
+    """Parses ``--device``: the index of an EGL device, or a part of its UUID; None = a GPU if available."""
     return int(text) if text is not None and text.isdigit() else text
 
 
 def require_device(device: int | str | None) -> None:
-    """Opens and closes a chosen device, to fail before anything is loaded.
+    """Opens and closes a selected device, to fail before the scene is loaded.
 
     Raises:
-        GraphicsUnavailableError: the device does not exist or cannot draw.
+        GraphicsUnavailableError: the device does not exist or cannot render.
     """
     if device is not None:
         from gibson_sim.render.context import open_context
@@ -61,7 +61,7 @@ def require_device(device: int | str | None) -> None:
 
 
 def chosen(text: str, known: Collection[str]) -> tuple[str, ...]:
-    """Parses ``--only``, names separated by commas; none = all of ``known``.
+    """Parses ``--only``, names separated by commas; empty = all of ``known``.
 
     Raises:
         ConfigError: a name is unknown.

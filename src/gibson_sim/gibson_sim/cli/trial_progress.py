@@ -1,4 +1,4 @@
-"""How a trial goes, for who watches: a bar on a terminal, a line for each run elsewhere."""
+"""Progress of a trial: a bar on a terminal, one line per run otherwise."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.words import run_line
 
 _BAR = 20
-"""Characters of the bar."""
+"""Length of the bar, characters."""
 _MOST_SHOWN = 3
-"""Running runs that are named."""
+"""Maximum number of active runs that are named."""
 _QUIET_S = 2.0
-"""Wall time of planning that needs no line, seconds."""
+"""Duration of planning below which it is not reported, seconds of wall time."""
 _PERIOD_S = 10.0
-"""Wall time between two lines of planning where no terminal shows a bar, seconds."""
+"""Interval between two lines about planning without a terminal, seconds of wall time."""
 
 
 class PlanProgress:
-    """Tells how many runs are planned, once that takes longer than a moment: a bar on a terminal, a line now and then elsewhere.
+    """Reports the number of planned runs, if planning takes long: a bar on a terminal, occasional lines otherwise.
 
     Args:
-        console: where it tells.
-        clock: wall time, seconds.
+        console: receives the output.
+        clock: returns wall time, seconds.
     """
 
     def __init__(self, *, console: Console = CONSOLE, clock: Callable[[], float] = time.monotonic) -> None:
         self._console, self._clock = console, clock
         self._began = clock()
-        self._told = self._began + _QUIET_S - _PERIOD_S
+        self._last_report = self._began + _QUIET_S - _PERIOD_S
 
     def tell(self, done: int, total: int) -> None:
-        """Tells that so many runs of all are planned."""
+        """Reports that ``done`` of ``total`` runs are planned."""
         now = self._clock()
         if now - self._began < _QUIET_S or done == total:
             return
-        left = f", {_duration((now - self._began) / done * (total - done))} left" if done else ""
-        line = f"planning: {done} of {total} runs{left}"
+        remaining = f", {_duration((now - self._began) / done * (total - done))} left" if done else ""
+        line = f"planning: {done} of {total} runs{remaining}"
         if self._console.is_terminal:
             self._console.status(line)
-        elif now - self._told >= _PERIOD_S:
-            self._told = now
+        elif now - self._last_report >= _PERIOD_S:
+            self._last_report = now
             self._console.write(line)
 
     def close(self) -> None:
@@ -52,13 +52,13 @@ class PlanProgress:
 
 
 class TrialProgress:
-    """Tells how many runs are done, how many passed, how long the rest takes, and what runs now.
+    """Reports the numbers of completed and passed runs, the remaining time, and the active runs.
 
     Args:
         total: number of planned runs.
-        before: results of an earlier time, which are not made again.
-        console: where the bar is.
-        clock: wall time, seconds.
+        before: number of earlier results, whose runs are not repeated.
+        console: shows the bar.
+        clock: returns wall time, seconds.
     """
 
     def __init__(
@@ -74,12 +74,12 @@ class TrialProgress:
         self._show()
 
     def tell(self, number: int, text: str) -> None:
-        """Shows what happens in a run."""
+        """Shows the state of a run."""
         self._now[number] = text
         self._show()
 
     def add(self, result: RunResult) -> None:
-        """Counts a run that has ended; prints its line, unless it passed and a terminal shows the bar."""
+        """Counts a completed run; prints its line, unless it passed and a terminal shows the bar."""
         self._done += 1
         self._passed += result.passed
         self._now.pop(result.run.number, None)
@@ -94,19 +94,19 @@ class TrialProgress:
         self._console.status("")
 
     def line(self) -> str:
-        """Returns the bar with its numbers."""
+        """Returns the bar with the numbers of runs."""
         done = self._before + self._done
         filled = _BAR * done // max(self._total, 1)
-        told = [f"[{'#' * filled}{'-' * (_BAR - filled)}] {done}/{self._total}"]
-        told += [f"{self._passed} passed, {self._done - self._passed} failed"] if self._done else []
-        told += [f"{left} left"] if (left := self._left()) else []
+        parts = [f"[{'#' * filled}{'-' * (_BAR - filled)}] {done}/{self._total}"]
+        parts += [f"{self._passed} passed, {self._done - self._passed} failed"] if self._done else []
+        parts += [f"{left} left"] if (left := self._left()) else []
         names = list(self._now.items())
         shown = ", ".join(f"run {number}: {text}" if text else f"run {number}" for number, text in names[:_MOST_SHOWN])
         more = f", and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
-        return "; ".join((*told, shown + more) if shown else told)
+        return "; ".join((*parts, shown + more) if shown else parts)
 
     def _left(self) -> str:
-        """Returns the remaining time by the pace so far; empty = unknown, or nothing remains."""
+        """Returns the remaining time, extrapolated from the completed runs; empty = unknown, or no runs remain."""
         rest = self._total - self._before - self._done
         if not (self._done and rest):
             return ""
@@ -117,7 +117,7 @@ class TrialProgress:
 
 
 def _duration(seconds: float) -> str:
-    """Returns a time in words."""
+    """Returns a duration as text."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -1,4 +1,4 @@
-"""The options ``--workers`` and ``--ray`` of commands whose work is many independent units, and the backend that they choose."""
+"""The options ``--workers`` and ``--ray`` of commands with many independent units of work, and the backend that they select."""
 
 from __future__ import annotations
 
@@ -30,42 +30,42 @@ def add_workers(parser: Any, what: str) -> None:
 
 
 def backend_of(args: argparse.Namespace, what: str = "units of work", default: int | None = None) -> Backend | None:
-    """Returns where the units run; None = neither option is given, and there is no default.
+    """Returns the backend that executes the units; None = neither option is given, and there is no default.
 
     Args:
-        args: with the options.
+        args: parsed arguments with the options.
         what: the units, such as "bags".
         default: number of workers if neither option is given.
 
     Raises:
-        GibsonSimError: both are given, or one is impossible here.
+        GibsonSimError: both are given, or one is not possible on this machine.
     """
     if args.ray is not None:
         if args.workers is not None:
             raise ConfigError("--workers and --ray exclude each other: the cluster decides how many units run at the same time")
         from gibson_sim.jobs.ray_cluster import RayCluster
 
-        return RayCluster(args.ray, on_interrupt=partial(_say_that_work_ends, what))
+        return RayCluster(args.ray, on_interrupt=partial(_report_interrupt, what))
     count = default if args.workers is None else args.workers
     if count is None:
         return None
     from gibson_sim.jobs.local import LocalWorkers
 
-    return LocalWorkers(count, on_interrupt=partial(_say_that_work_ends, what))
+    return LocalWorkers(count, on_interrupt=partial(_report_interrupt, what))
 
 
-def _say_that_work_ends(what: str, running: int) -> None:
-    """Says what happens after Ctrl-C, since it takes a few seconds. ``running``: number of units; 0 = not known."""
+def _report_interrupt(what: str, running: int) -> None:
+    """Prints what happens after Ctrl-C, since it takes a few seconds; ``running``: number of running units, 0 = unknown."""
     say(
         f"interrupted: ending {f'{running} {what}' if running else what}, and all their processes; Ctrl-C again does not wait for them"
     )
 
 
 def files_of(values: dict[str, Any], keys: tuple[str, ...]) -> tuple[Path, ...]:
-    """Returns the settings of ``keys`` that are files or folders of this machine, and makes them absolute in ``values``."""
-    found = []
+    """Returns the settings of ``keys`` that are local files or folders, and makes them absolute in ``values``."""
+    files = []
     for key in keys:
         if values[key] and exists(values[key]):
-            found.append(Path(values[key]).absolute())
-            values[key] = str(found[-1])
-    return tuple(found)
+            files.append(Path(values[key]).absolute())
+            values[key] = str(files[-1])
+    return tuple(files)

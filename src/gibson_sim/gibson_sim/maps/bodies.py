@@ -1,4 +1,4 @@
-"""The bodies of a scene where they stand at load: their collision shapes as triangles, and their visuals."""
+"""The bodies of a scene at their start poses: collision shapes as triangles, and visuals."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Triangles = tuple[F64, NDArray[np.int32]]
 def body_triangles(scene: SceneSpec) -> Triangles:
     """Returns vertices (V, 3), world metres, and triangles (F, 3) of the collision shapes of all bodies; convex hulls for meshes."""
     shapes = [c.shape for body in scene.bodies for link in body.model.links for c in link.collisions]
-    # The loader of the bodies has checked each path already.
+    # The loader of the bodies has already checked each path.
     loader = MeshLoader(mesh_folders(shapes), textures=False)
     known: dict[Shape, Triangles] = {}
     parts: list[Triangles] = []
@@ -40,7 +40,7 @@ def body_triangles(scene: SceneSpec) -> Triangles:
 
 
 def still_visuals(scene: SceneSpec) -> tuple[VisualSpec, ...]:
-    """Returns all visuals but those of robots, fixed to the world; those of bodies are where they stand at load."""
+    """Returns all visuals except those of robots, fixed to the world; those of bodies are at their start poses."""
     out = list(scene.visuals)
     for body in scene.bodies:
         T_world_links = link_transforms(body)
@@ -62,7 +62,7 @@ def link_transforms(body: BodySpec) -> dict[str, Mat4]:
 
 
 def _joint_motion(joint: UrdfJoint, position: float) -> Mat4:
-    """Returns the transform (4, 4) from a joint's child to where the child is at position 0, for a position in radians or metres."""
+    """Returns T_zero_child, (4, 4): the motion of a joint's child from position 0 to a position, radians or metres."""
     out = np.eye(4)
     axis = np.asarray(joint.axis, dtype=np.float64)
     if joint.kind == "prismatic":

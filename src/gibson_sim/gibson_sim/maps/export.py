@@ -1,4 +1,4 @@
-"""Writes floor maps to files: for Nav2's map server, in the layout of Gibson's scenes, and as coloured images."""
+"""Writes floor maps to files: for Nav2's map server, in the layout of the Gibson dataset, and as coloured images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.writing import write_file
 Bytes = NDArray[np.uint8]
 
 OCCUPIED, UNKNOWN, FREE = 0, 205, 254
-"""Grey values of Nav2's map server in its mode "trinary"."""
+"""Grey values of Nav2's map server in the mode "trinary"."""
 FLOORS = "floors.txt"
 """File with the heights of all floors, metres, in the layout of Gibson's scenes."""
 GIBSON_RESOLUTION = 0.01
@@ -28,7 +28,7 @@ _COLOURS = {"unknown": (236, 239, 241), "occupied": (38, 50, 56), "free": (200, 
 
 
 def write_nav2_map(floor: FloorMap, path: Path) -> tuple[Path, Path]:
-    """Writes ``<path>.pgm`` and ``<path>.yaml`` for Nav2's map server and returns both.
+    """Writes ``<path>.pgm`` and ``<path>.yaml`` for Nav2's map server; returns both paths.
 
     The format: https://docs.nav2.org/configuration/packages/configuring-map-server.html and ``nav2_map_server/map_io``.
 
@@ -56,7 +56,7 @@ def write_nav2_map(floor: FloorMap, path: Path) -> tuple[Path, Path]:
 
 
 def write_gibson_maps(floors: Sequence[FloorMap], folder: Path) -> tuple[Path, ...]:
-    """Writes ``floor_trav_N.png`` (255 = free) for every floor and ``floors.txt`` (heights), and returns their paths.
+    """Writes ``floor_trav_N.png`` (255 = free) for every floor and ``floors.txt`` (heights); returns their paths.
 
     A pixel is 1 cm; the centre of the square image is the origin of the world; rows go along +y, columns along +x.
 
@@ -73,7 +73,7 @@ def write_gibson_maps(floors: Sequence[FloorMap], folder: Path) -> tuple[Path, .
 
 
 def write_picture(floor: FloorMap, path: Path, radius: float, *, pixels: int = 3) -> None:
-    """Writes a coloured PNG: green where a robot's centre can be, yellow where the robot would touch something, dark obstacles.
+    """Writes a coloured PNG: green = free for the robot's centre, yellow = the robot would be in collision, dark = obstacles.
 
     Args:
         floor: the map.
@@ -114,7 +114,7 @@ def _gibson_picture(floor: FloorMap) -> Bytes:
 
 def _png(picture: Bytes) -> bytes:
     """Returns an image (H, W) or (H, W, 3), BGR, as PNG."""
-    done, data = cv2.imencode(".png", np.ascontiguousarray(picture), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    if not done:
+    encoded, data = cv2.imencode(".png", np.ascontiguousarray(picture), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not encoded:
         raise SceneError(f"a picture of {picture.shape} cannot be encoded")
     return data.tobytes()

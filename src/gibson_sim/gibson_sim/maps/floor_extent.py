@@ -1,4 +1,4 @@
-"""The extent of a floor, for views that show all of it."""
+"""The extent of a floor, for views of the whole floor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ALL = (-0.1, _WALLS[1])
 
 
 def extent_of_scene(scene: SceneSpec) -> FloorExtent:
-    """Returns the extent of the floor that robots start on, world metres: that of its named rooms, else that of everything on it.
+    """Returns the extent of the floor that robots start on, world metres: that of its named rooms, else that of all objects on it.
 
     Raises:
         SceneError: the scene has no surface at this height.
@@ -38,7 +38,7 @@ def extent_of_scene(scene: SceneSpec) -> FloorExtent:
 
 
 def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequence[Path] | None = None) -> FloorExtent:
-    """Returns the extent of everything on the floor of a scene, world metres, from its visuals alone.
+    """Returns the extent of all objects on the floor of a scene, world metres, computed from its visuals.
 
     Args:
         scene: the scene, whose files must be on this machine.
@@ -60,7 +60,7 @@ def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequ
 
 
 def extent_of_triangles(vertices: ArrayLike, triangles: ArrayLike, floor_z: float) -> FloorExtent:
-    """Returns the extent of everything on a floor, world metres; that of the floor itself if nothing is on it.
+    """Returns the extent of all objects on a floor, world metres; that of the floor itself if it is empty.
 
     Args:
         vertices: (V, 3), world metres.
@@ -75,7 +75,7 @@ def extent_of_triangles(vertices: ArrayLike, triangles: ArrayLike, floor_z: floa
         inside = clip_to_slab(corners, floor_z + low, floor_z + high).reshape(-1, 2)
         if len(inside):
             return _extent(inside, floor_z)
-    raise SceneError(f"nothing stands at the height of the floor, {floor_z:g} m; give the view a center and a span")
+    raise SceneError(f"the scene has no surface at the height of the floor, {floor_z:g} m; give the view a center and a span")
 
 
 def _extent(points: NDArray[np.float64], z: float) -> FloorExtent:

@@ -1,8 +1,8 @@
-"""The occupancy grid of a floor: where a robot can stand, made from collision triangles. Knows no ROS and no physics engine.
+"""The occupancy grid of a floor, computed from collision triangles. Must import neither ROS nor a physics engine.
 
-Cells are square; row 0 is at the lowest y, column 0 at the lowest x, as in ``nav_msgs/OccupancyGrid``. A cell is occupied where something
-touches it between the floor and the robot's height, or where it lies inside a solid that stands on the floor: the triangles of a wardrobe
-are its faces alone.
+Cells are square; row 0 is at the lowest y, column 0 at the lowest x, as in ``nav_msgs/OccupancyGrid``. A cell is occupied if it intersects an
+obstacle between the floor and the robot's height, or if it is inside a solid that stands on the floor, since the triangles of a wardrobe are
+only its faces.
 """
 
 from __future__ import annotations
@@ -98,12 +98,12 @@ class FloorMap:
         object.__setattr__(self, "distance_to_obstacle", _distance_to_blocked(~self.free, self.resolution))
 
     def furnished(self, vertices: F64, triangles: NDArray[np.integer[Any]], robot_height: float) -> FloorMap:
-        """Returns the map with things on its floor: cells in which they touch a robot ``robot_height`` metres high are occupied too.
+        """Returns the map with additional obstacles: cells in which they collide with a robot ``robot_height`` metres high are occupied.
 
         Args:
             vertices: (V, 3), world frame, metres.
             triangles: (F, 3), rows of ``vertices``.
-            robot_height: metres above the floor.
+            robot_height: height of the robot above the floor, metres.
         """
         parts = clip_to_slab(vertices[triangles], self.floor_z + FLOOR_CLEARANCE, self.floor_z + robot_height)
         covered = Grid(self.resolution, self.origin, self.occupied.shape).cover(parts)
@@ -111,17 +111,17 @@ class FloorMap:
 
     @property
     def free(self) -> Bools:
-        """(H, W): floor with nothing on it."""
+        """Mask of the cells with floor and without obstacles, (H, W)."""
         return np.asarray(self.floor & ~self.occupied)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows (along y), columns (along x)."""
+        """Number of rows (along y) and columns (along x)."""
         rows, columns = self.occupied.shape
         return rows, columns
 
     def cells(self, xy: ArrayLike) -> I64:
-        """Returns row and column, (..., 2), of world points (..., 2), metres; they may lie outside the grid."""
+        """Returns row and column, (..., 2), of world points (..., 2), metres; they may be outside the grid."""
         points = np.asarray(xy, dtype=np.float64)
         return np.floor((points - self.origin) / self.resolution + ROUNDING).astype(np.int64)[..., ::-1]
 
@@ -131,26 +131,26 @@ class FloorMap:
         return np.asarray((rows_columns[..., ::-1] + 0.5) * self.resolution + np.asarray(self.origin))
 
     def clearance(self, xy: ArrayLike) -> F64:
-        """Returns (...,): ``distance_to_obstacle``, metres, of the cells that hold world points (..., 2); 0 outside the grid."""
+        """Returns (...,): ``distance_to_obstacle``, metres, of the cells of world points (..., 2); 0 outside the grid."""
         return self.look_up(self.distance_to_obstacle, xy, outside=0.0)
 
     def look_up(self, values: NDArray[T], xy: ArrayLike, *, outside: float | bool) -> NDArray[T]:
-        """Returns (...,): the values (H, W) of the cells that hold world points (..., 2), metres; ``outside`` where there is no cell."""
+        """Returns (...,): the values (H, W) of the cells of world points (..., 2), metres; ``outside`` for points outside the grid."""
         cells = self.cells(xy)
         inside = np.asarray(((cells >= 0) & (cells < np.array(self.shape))).all(axis=-1))
         safe = np.where(inside[..., None], cells, 0)
         return np.where(inside, values[safe[..., 0], safe[..., 1]], values.dtype.type(outside))
 
     def inflate(self, radius: float) -> Bools:
-        """Returns (H, W): cells in which a disc of ``radius`` (metres) about any point lies in free space."""
+        """Returns a mask (H, W) of the cells in which a disc of ``radius`` (metres) about any point is in free space."""
         return np.asarray(self.distance_to_obstacle >= radius + self.resolution * math.sqrt(0.5))
 
     def largest_free_region(self, radius: float = 0.0) -> Bools:
-        """Returns (H, W): the largest connected region that has room for a disc of ``radius``, metres; all False if there is none.
+        """Returns a mask (H, W) of the largest connected region that is free for a disc of ``radius``, metres; all False if there is none.
 
-        Regions indoors, which lie under a ceiling or are enclosed by walls, come before those outdoors if one has 1 m^2 or more. A region
-        is open if it touches the rim of the map, or ends in nothing as a lawn does. Where the scene has ceilings, enclosed regions
-        without one (yards) count little.
+        Indoor regions, which are below a ceiling or enclosed by walls, take precedence over outdoor regions if one has 1 m^2 or more. A region is
+        open if it touches the border of the map, or has no walls at its border, as a lawn. In scenes with ceilings, enclosed regions without a
+        ceiling (yards) have a low weight.
         """
         places = self.inflate(radius) if radius > 0 else self.free
         covered = np.zeros(self.shape, dtype=bool) if self.covered is None else self.covered
@@ -167,7 +167,7 @@ class FloorMap:
         return np.asarray(labels == 1 + int(np.bincount(labels.ravel())[1:].argmax()))
 
     def _open(self) -> Bools:
-        """Returns (H, W): free cells of regions that are not enclosed."""
+        """Returns a mask (H, W) of the free cells of regions that are not enclosed."""
         unknown, _ = ndimage.label(np.pad(~(self.floor | self.occupied), 1, constant_values=True))
         outside = (unknown == unknown[0, 0])[1:-1, 1:-1]
         labels, count = ndimage.label(self.free)
@@ -182,7 +182,7 @@ class FloorMap:
         return np.asarray(is_open[labels])
 
     def nearest_free(self, xy: tuple[float, float], radius: float = 0.0) -> tuple[float, float] | None:
-        """Returns the centre of the nearest cell to ``xy`` that has room for a disc of ``radius``, world metres; None if there is none."""
+        """Returns the centre of the cell nearest to ``xy`` that is free for a disc of ``radius``, world metres; None if there is none."""
         cells = np.argwhere(self.inflate(radius) if radius > 0 else self.free)
         if not len(cells):
             return None
@@ -192,11 +192,11 @@ class FloorMap:
 
 
 def scene_floor_map(scene: SceneSpec, *, robot_height: float, resolution: float = 0.05) -> FloorMap:
-    """Returns the map of the floor at ``scene.floor_z``, made from the scene's static collision shapes.
+    """Returns the map of the floor at ``scene.floor_z``, computed from the scene's static collision shapes.
 
     Args:
         scene: the scene.
-        robot_height: metres above the floor.
+        robot_height: height of the robot above the floor, metres.
         resolution: edge of a cell, metres; made coarser, with a warning, if the map would become too large.
 
     Raises:
@@ -225,16 +225,16 @@ def make_floor_map(
 ) -> FloorMap:
     """Returns the occupancy grid of a triangle mesh, world frame, z up.
 
-    A cell is occupied where any part of a triangle between ``floor_z + FLOOR_CLEARANCE`` and ``floor_z + robot_height`` touches it, and
-    inside solids that stand on the floor.
+    A cell is occupied if it intersects a part of a triangle between ``floor_z + FLOOR_CLEARANCE`` and ``floor_z + robot_height``, or is inside
+    a solid that stands on the floor.
 
     Args:
         vertices: (V, 3), metres.
         triangles: (F, 3), rows of ``vertices``.
         floor_z: height of the floor, world metres.
-        robot_height: metres above the floor.
+        robot_height: height of the robot above the floor, metres.
         resolution: edge of a cell, metres; made coarser, with a warning, if the map would become too large.
-        ground_plane: whether there is floor everywhere, also where no triangle is; a floor of the mesh's own takes precedence.
+        ground_plane: whether the floor is everywhere, also without triangles; a floor in the mesh takes precedence.
 
     Raises:
         SceneError: the scene has no surface at this height.
@@ -250,7 +250,7 @@ def make_floor_map(
     grid = grid_about(floors, obstacles, resolution, floor_z, ground_plane)
 
     floor = grid.cover(floors)
-    # The floor tiles of a model may leave cracks between them.
+    # There may be gaps between the floor tiles of a model.
     floor = np.asarray(ndimage.binary_closing(np.pad(floor, 2), np.ones((3, 3)))[2:-2, 2:-2])
     solid = inside_solids(corners, grid, floor_z, floor_z - FLOOR_TOLERANCE, low, ground_plane=ground_plane)
     if ground_plane and (floor & ~solid).mean() < MIN_GROUND_SHARE:
@@ -263,11 +263,11 @@ def grid_about(floors: F64, obstacles: F64, resolution: float, floor_z: float, g
     """Returns the grid about polygons (P, K, 2) of floors and obstacles, world metres.
 
     Args:
-        floors: P may be 0.
-        obstacles: P may be 0.
+        floors: polygons of floors; P may be 0.
+        obstacles: polygons of obstacles; P may be 0.
         resolution: edge of a cell, metres; made coarser, with a warning, if the grid would become too large.
         floor_z: height of the floor for the error message, world metres.
-        ground_plane: whether there is floor also where there are no polygons.
+        ground_plane: whether the floor is everywhere.
 
     Raises:
         SceneError: there are neither floors nor obstacles nor a ground plane.
@@ -284,7 +284,7 @@ def grid_about(floors: F64, obstacles: F64, resolution: float, floor_z: float, g
 
 
 def under_ceiling(corners: F64, floor_z: float, grid: Grid) -> Bools:
-    """Returns (H, W): cells below a ceiling, that is below level triangles at the height of one.
+    """Returns a mask (H, W) of the cells below a ceiling, that is, below level triangles at the height of a ceiling.
 
     Args:
         corners: (F, 3, 3), triangles, world metres.
@@ -303,11 +303,11 @@ def under_ceiling(corners: F64, floor_z: float, grid: Grid) -> Bools:
 
 
 def inside_solids(corners: F64, grid: Grid, floor_z: float, low: float, high: float, *, ground_plane: bool = False) -> Bools:
-    """Returns (H, W): cells inside solids that stand on the floor.
+    """Returns a mask (H, W) of the cells inside solids that stand on the floor.
 
-    The centre of such a cell has an underside at the height of the floor, and the next surface above it faces up: it is the top of the
-    solid. Above the floor of a room the next surface is the ceiling, which faces down; a table's underside lies higher. Meshes with
-    flipped or doubled faces have as much floor that faces down as up; for them the result is empty.
+    At the centre of such a cell there is an underside at the height of the floor, and the next surface above it faces up: the top of the solid.
+    Above the floor of a room the next surface is the ceiling, which faces down; the underside of a table is higher. In meshes with flipped or
+    doubled faces, equal areas of floor face down and up; for them the result is empty.
 
     Args:
         corners: (F, 3, 3), triangles, counter-clockwise seen from outside, world metres.
@@ -315,7 +315,7 @@ def inside_solids(corners: F64, grid: Grid, floor_z: float, low: float, high: fl
         floor_z: height of the floor, world metres.
         low: lower limit of the floor's surfaces, world metres.
         high: upper limit of the floor's surfaces, world metres.
-        ground_plane: whether there is floor everywhere, also where no triangle is.
+        ground_plane: whether the floor is everywhere, also without triangles.
     """
     bottoms, tops = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
     at_floor = (bottoms >= low) & (tops <= high)
@@ -327,7 +327,7 @@ def inside_solids(corners: F64, grid: Grid, floor_z: float, low: float, high: fl
         return np.zeros(grid.shape, dtype=bool)
     underside = grid.heights(down, np.maximum)
     standing = underside > -np.inf
-    # Only triangles above these cells can be a top or a ceiling.
+    # Only triangles above these cells can be tops or ceilings.
     first, last = (np.asarray(grid.origin) + end * grid.resolution for end in _bounds(standing))
     over = (corners[:, :, :2].max(axis=1) > first).all(axis=1) & (corners[:, :, :2].min(axis=1) < last).all(axis=1)
     above = over & (bottoms > high)
@@ -337,19 +337,19 @@ def inside_solids(corners: F64, grid: Grid, floor_z: float, low: float, high: fl
 
 
 def _area(corners: F64) -> float:
-    """Returns the area of triangles (F, 3, 3) seen from above, square metres."""
+    """Returns the projected area of triangles (F, 3, 3) from above, square metres."""
     a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
     return float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2)
 
 
 def _bounds(cells: Bools) -> tuple[I64, I64]:
     """Returns the bounding rectangle of the True cells (H, W): first and last corner as column and row, (2,) each."""
-    found = np.argwhere(cells)[:, ::-1]
-    return (found.min(axis=0), found.max(axis=0) + 1) if len(found) else (np.zeros(2, np.int64), np.zeros(2, np.int64))
+    indices = np.argwhere(cells)[:, ::-1]
+    return (indices.min(axis=0), indices.max(axis=0) + 1) if len(indices) else (np.zeros(2, np.int64), np.zeros(2, np.int64))
 
 
 def _is_floor(corners: F64, floor_z: float) -> Bools:
-    """Returns (F,): which triangles (F, 3, 3) are level and at the height of the floor."""
+    """Returns a mask (F,) of the triangles (F, 3, 3) that are level and at the height of the floor."""
     near = (np.abs(corners[:, :, 2] - floor_z) <= FLOOR_TOLERANCE).all(axis=1)
     return np.asarray(near & (np.abs(unit_normals(corners)[:, 2]) >= _LEVEL))
 
@@ -367,15 +367,15 @@ def _affordable(resolution: float, size: F64) -> float:
 
 
 def _distance_to_blocked(blocked: Bools, resolution: float) -> F64:
-    """Returns (H, W): metres from cell centres to the nearest blocked cell or the rim of the map, exact within a thousand cells."""
+    """Returns (H, W): distance from cell centres to the nearest blocked cell or the border of the map, metres, exact within a thousand cells."""
     rows, columns = blocked.shape
-    # On a lattice of half cells, the point of a square that is nearest to a cell's centre is always a lattice point.
+    # On a grid of half cells, the point of a cell nearest to the centre of another cell is always a grid point.
     lattice = np.zeros((2 * rows + 1, 2 * columns + 1), dtype=bool)
     lattice[0] = lattice[-1] = lattice[:, 0] = lattice[:, -1] = True
     for i in range(3):
         for j in range(3):
             lattice[i : i + 2 * rows - 1 : 2, j : j + 2 * columns - 1 : 2] |= blocked
-    # OpenCV takes a fifth of SciPy's time but computes in single precision; squares of distances are whole numbers and can be restored.
+    # OpenCV takes a fifth of the time of SciPy but uses single precision; squared distances are integers and can be restored by rounding.
     distance = cv2.distanceTransform((~lattice).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1::2, 1::2].astype(np.float64)
     exact = np.where(distance < _EXACT_BELOW, np.sqrt(np.rint(np.square(distance))), distance)
     return np.asarray(exact * (resolution / 2), dtype=np.float64)

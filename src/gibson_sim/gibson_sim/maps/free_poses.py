@@ -1,4 +1,4 @@
-"""Free poses, where a robot touches nothing but the floor: drawn at random on a map, and those of a scene's ``free_poses.csv``."""
+"""Free poses, at which a robot is not in collision: sampled on a map, or read from a scene's ``free_poses.csv``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MAX_BYTES = 16_000_000
 
 @dataclass(frozen=True, slots=True)
 class FreePose:
-    """A pose on a floor, in the world frame, at which a robot touches nothing but the floor."""
+    """A collision-free pose of a robot on a floor, in the world frame."""
 
     floor: int
     """Index of its floor, 0 = the lowest."""
@@ -59,22 +59,22 @@ def random_free_poses(
     spacing: float = 0.0,
     region: NDArray[np.bool_] | None = None,
 ) -> tuple[Pose, ...]:
-    """Returns random poses (T_world_base) on the floor, uniform over its area and of uniform heading.
+    """Samples random poses (T_world_base) on the floor, uniformly distributed in position and heading.
 
     Args:
         floor: the map.
         count: number of poses.
-        rng: source of randomness; equal generators give equal poses.
-        clearance: least distance to the nearest obstacle, metres.
-        spacing: least distance between two poses, metres.
-        region: (H, W), cells that the poses may lie in; None = ``floor.largest_free_region(clearance)``.
+        rng: random generator; equal generators give equal poses.
+        clearance: minimum distance to obstacles, metres.
+        spacing: minimum distance between two poses, metres.
+        region: (H, W), mask of the allowed cells; None = ``floor.largest_free_region(clearance)``.
 
     Raises:
-        SceneError: the floor has no room for that number of poses.
+        SceneError: the floor is too small for that number of poses.
     """
     places = floor.inflate(clearance) & (floor.largest_free_region(clearance) if region is None else region)
     cells = np.argwhere(places)
-    # Every point of such a cell keeps the clearance, so that cells can be used several times where they are few.
+    # Every point of such a cell has the clearance, so that cells can be used several times if there are few.
     drawn = rng.permutation(np.tile(np.arange(len(cells)), max(1, math.ceil(4 * count / max(len(cells), 1)))))
     points = floor.centers(cells[drawn]) + rng.uniform(-0.5, 0.5, (len(drawn), 2)) * floor.resolution
     left = np.ones(len(points), dtype=bool)
@@ -98,10 +98,10 @@ def random_free_poses(
 
 
 def scene_free_poses(scene: SceneSpec) -> tuple[FreePose, ...]:
-    """Returns the free poses in a scene's folder; none if it has no such file.
+    """Returns the free poses in a scene's folder; empty if it has no ``free_poses.csv``.
 
     Raises:
-        SceneError: the file is broken.
+        SceneError: the file is invalid.
     """
     path = scene.root / FREE_POSES
     return read_free_poses(path) if is_file(path) else ()
@@ -111,7 +111,7 @@ def read_free_poses(path: Path) -> tuple[FreePose, ...]:
     """Returns the poses in a file, in its order.
 
     Raises:
-        SceneError: the file cannot be read, or one of its lines is wrong.
+        SceneError: the file cannot be read, or a line is invalid.
     """
     try:
         rows = list(csv.reader(read_file(path, _MAX_BYTES).decode("utf-8").splitlines()))
@@ -124,7 +124,7 @@ def read_free_poses(path: Path) -> tuple[FreePose, ...]:
 
 
 def write_free_poses(path: Path, poses: Iterable[FreePose]) -> None:
-    """Writes a file of free poses: x and y to a millimetre, z to 0.1 mm, yaw to 0.0001 rad.
+    """Writes a file of free poses, rounded: x and y to a millimetre, z to 0.1 mm, yaw to 0.0001 rad.
 
     Raises:
         WriteError: the file cannot be written.

@@ -30,16 +30,16 @@ class ShortestPaths:
     """Predecessor of each node on the path from the source, (S, N); negative at the source, and if there is no path."""
 
     def nodes(self, source: int, end: int) -> I64:
-        """Returns the nodes (K,) of a path, both ends included.
+        """Returns the nodes (K,) of a path, including both ends.
 
         Args:
             source: index into ``sources``.
-            end: a node that is connected with it.
+            end: a node that is connected to it.
         """
-        start, before = int(self.sources[source]), self.predecessors[source]
+        start, predecessors = int(self.sources[source]), self.predecessors[source]
         out = [end]
         while out[-1] != start:
-            out.append(int(before[out[-1]]))
+            out.append(int(predecessors[out[-1]]))
         return np.array(out[::-1], dtype=np.int64)
 
 
@@ -47,11 +47,11 @@ class GridGraph:
     """A graph whose N nodes are the passable cells of a grid, row by row.
 
     Args:
-        passable: (H, W).
+        passable: mask of passable cells, (H, W).
         resolution: size of a cell, metres.
-        reach: rows or columns that a step crosses at most. 1 gives 8 neighbours, 3 gives 32.
-        clear_lines: whether a step needs all cells that its straight line touches. Without it the cell at the end is enough.
-        price: (N,), cost of a metre in each cell, 1 where not given; a step costs its length times the mean of its two ends.
+        reach: maximum number of rows or columns that a step crosses: 1 = 8-connected, 3 = 32-connected.
+        clear_lines: whether all cells on the straight line of a step must be passable, else only the cell at its end.
+        price: (N,), cost per metre in each cell; None = 1; the cost of a step is its length times the mean price of its ends.
     """
 
     def __init__(
@@ -69,36 +69,36 @@ class GridGraph:
             clear = np.ones(len(self.cells), dtype=bool)
             for offset in needed:
                 clear &= padded[tuple((self.cells + offset + reach).T)]
-            here = np.flatnonzero(clear)
-            there = self.numbers[tuple((self.cells[here] + step).T)]
+            from_rows = np.flatnonzero(clear)
+            to_nodes = self.numbers[tuple((self.cells[from_rows] + step).T)]
             length = math.hypot(*step) * resolution
-            rows.append(here)
-            columns.append(there)
-            costs.append(np.full(len(here), length) if price is None else length * (price[here] + price[there]) / 2)
+            rows.append(from_rows)
+            columns.append(to_nodes)
+            costs.append(np.full(len(from_rows), length) if price is None else length * (price[from_rows] + price[to_nodes]) / 2)
         entries = np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))
         self._costs = sparse.csr_matrix(entries, shape=(len(self.cells), len(self.cells)))
 
     def distances(self, sources: ArrayLike) -> F64:
-        """Returns (N,): lengths of the shortest paths from the nearest of the source nodes (S,), metres times price; +inf = none."""
+        """Returns (N,): length of the shortest path from the nearest of the source nodes (S,), metres times price; +inf = not connected."""
         return np.asarray(csgraph.dijkstra(self._costs, directed=False, indices=np.atleast_1d(sources), min_only=True))
 
     def shortest_paths(self, sources: ArrayLike) -> ShortestPaths:
         """Returns the shortest paths from each of the source nodes (S,)."""
         nodes = np.atleast_1d(np.asarray(sources, dtype=np.int64))
-        lengths, before = csgraph.dijkstra(self._costs, directed=False, indices=nodes, return_predecessors=True)
-        return ShortestPaths(nodes, np.asarray(lengths), np.asarray(before))
+        lengths, predecessors = csgraph.dijkstra(self._costs, directed=False, indices=nodes, return_predecessors=True)
+        return ShortestPaths(nodes, np.asarray(lengths), np.asarray(predecessors))
 
 
 def _half_of_the_steps(reach: int) -> list[tuple[int, int]]:
-    """Returns the steps (rows, columns) up to ``reach``, no multiples of shorter ones, and of two opposite ones the first."""
+    """Returns the steps (rows, columns) up to ``reach``, without multiples of shorter steps, and one of each pair of opposite steps."""
     steps = [(dr, dc) for dr in range(reach + 1) for dc in range(-reach, reach + 1)]
     return [(dr, dc) for dr, dc in steps if math.gcd(dr, dc) == 1 and (dr > 0 or dc > 0)]
 
 
 def _touched(step: tuple[int, int], reach: int) -> I64:
-    """Returns (K, 2): offsets of the cells that the line from a cell's centre to that of another touches."""
+    """Returns offsets (K, 2) of the cells on the line from the centre of a cell to that of another."""
     along = np.linspace(0.0, 1.0, _LINE_SAMPLES * reach + 1)[:, None] * np.array(step)
     low, high = np.floor(along + 0.499), np.ceil(along - 0.499)
-    # All cells that meet at a corner count where the line runs through it.
+    # If the line passes through a corner, all adjacent cells count.
     mixed = [low, high, np.stack([low[:, 0], high[:, 1]], 1), np.stack([high[:, 0], low[:, 1]], 1)]
     return np.asarray(np.unique(np.concatenate(mixed).astype(np.int64), axis=0))

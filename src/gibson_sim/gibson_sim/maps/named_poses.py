@@ -1,4 +1,4 @@
-"""Named poses of a scene: where robots start, where there is room, and its rooms and doors, computed from its floor maps."""
+"""Named poses of a scene: start poses, free places, rooms and doors, computed from its floor maps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 FREE_PLACES = 8
 """Number of free places per floor."""
 DEFAULT_RADIUS, DEFAULT_HEIGHT = 0.3, 0.5
-"""Size of the robot that free places have room for, metres, if the scene has no robot."""
+"""Robot size for free places, metres, if the scene has no robot."""
 _SPARE = 0.2
 """Additional clearance of free places beside the robot, metres, if the floor has enough room."""
 _WIDEST_DOOR = 1.6
@@ -40,7 +40,7 @@ _MAX_CANDIDATES = 100_000
 
 @dataclass(frozen=True, slots=True)
 class NamedPose:
-    """A pose with a name, and a box about it."""
+    """A named pose with a bounding box."""
 
     name: str
     description: str
@@ -56,9 +56,9 @@ class NamedPose:
 def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
     """Returns start poses, free places, rooms and doors of every floor, in this order; equal scenes have equal poses.
 
-    A room that the scene names keeps its name, as in ``floor_0/kitchen``, and its pose has the most room for the largest robot; other rooms
-    are numbered. Doors are named after the rooms that they connect, as in ``floor_0/door_hall_kitchen``; wider passages are openings. The
-    boxes of start poses and free places hold nothing static; that of a room is the bounding box of its floor.
+    A named room of the scene keeps its name, as in ``floor_0/kitchen``, and its pose has the largest clearance; other rooms are numbered. Doors
+    are named after the rooms that they connect, as in ``floor_0/door_hall_kitchen``; wider passages are openings. The boxes of start poses and
+    free places contain no static obstacles; that of a room is the bounding box of its floor.
     """
     height = max((robot.height for robot in scene.robots), default=DEFAULT_HEIGHT)
     radius = max((robot.radius for robot in scene.robots), default=DEFAULT_RADIUS)
@@ -82,7 +82,7 @@ def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
 
 
 def _floor_of(scene: SceneSpec, z: float) -> int:
-    """Returns the number of the highest floor at most half a metre above ``z`` (world metres); else that of the lowest."""
+    """Returns the index of the highest floor at most half a metre above ``z`` (world metres), else of the lowest floor."""
     return max((i for i, floor_z in enumerate(scene.floors) if floor_z <= z + 0.5), default=0)
 
 
@@ -95,7 +95,7 @@ def _starts(starts: Sequence[StartPose], tag: str, floor: FloorMap, height: floa
 
 
 def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: float) -> list[NamedPose]:
-    """Returns free places far apart: the most open one, and then always the one farthest from all before it."""
+    """Returns free places far apart by farthest-point sampling, starting with the most open one."""
     region = floor.largest_free_region(radius)
     roomy = region & (floor.distance_to_obstacle >= radius + _SPARE)
     cells = np.argwhere(roomy if roomy.any() else region)
@@ -123,7 +123,7 @@ def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: fl
 def _rooms_and_doors(
     scene: SceneSpec, number: int, floor: FloorMap, coarse: FloorMap, radius: float, height: float
 ) -> list[NamedPose]:
-    """Returns rooms and doors: those of rooms that the scene names, and others that are found in the map."""
+    """Returns the poses of rooms and doors: named rooms of the scene, and others that are segmented in the map."""
     tag = f"floor_{number}"
     known = _NamedRooms([room for room in scene.rooms if room.floor == number], floor)
     out = [_named_room(place, tag, scene.floor_z, height) for place in known.places(radius)]
@@ -154,7 +154,7 @@ def _named_room(place: _RoomPlace, tag: str, floor_z: float, height: float) -> N
 
 
 def _doors(connections: Sequence[tuple[Door, str, str]], tag: str, floor_z: float, height: float) -> list[NamedPose]:
-    """Returns poses of passages, given with the names of the two rooms; several between the same two are numbered."""
+    """Returns the poses of passages, given with the names of their two rooms; several passages between the same rooms are numbered."""
     out: list[NamedPose] = []
     count: Counter[tuple[str, ...]] = Counter()
     for door, first, second in connections:
@@ -175,7 +175,7 @@ def _box(clearance: float, height: float) -> tuple[Vec3, Vec3]:
 
 
 def _unique(poses: Sequence[NamedPose]) -> tuple[NamedPose, ...]:
-    """Returns the poses with unique names: later poses of the same name get a number appended."""
+    """Returns the poses with unique names: a number is appended to later poses of the same name."""
     used: set[str] = set()
     out = []
     for pose in poses:
@@ -216,7 +216,7 @@ class _NamedRooms:
         self._labels = self._with_doorways()
 
     def _with_doorways(self) -> NDArray[np.int64]:
-        """Returns (H, W): number of the room of each free cell, 0 = none; cells in doorways between outlines get the nearest room."""
+        """Returns (H, W): room number of each free cell, 0 = none; cells in doorways between outlines get the nearest room."""
         if not self._inside.any():
             return self._inside
         distance, nearest = ndimage.distance_transform_edt(self._inside == 0, self._floor.resolution, return_indices=True)
@@ -224,7 +224,7 @@ class _NamedRooms:
         return np.where(self._floor.free & (distance <= _THICKEST_WALL / 2 + self._floor.resolution), near, 0)
 
     def places(self, radius: float) -> list[_RoomPlace]:
-        """Returns a place in each room that has room for a disc of ``radius`` metres, in the order of the rooms."""
+        """Returns a place in each room that is large enough for a disc of ``radius`` metres, in the order of the rooms."""
         fits = self._floor.inflate(radius)
         reachable = self._floor.largest_free_region(radius)
         out = []
@@ -236,7 +236,7 @@ class _NamedRooms:
                 cells = np.argwhere(inside & fits)
             if not len(cells):
                 continue
-            # An outline need not be a wall, so the place keeps away from it too.
+            # An outline is not always a wall, so keep the place away from it too.
             within = ndimage.distance_transform_edt(np.pad(room.contains(self._centers()), 1), self._floor.resolution)[1:-1, 1:-1]
             best = cells[int(np.minimum(within, self._floor.distance_to_obstacle)[tuple(cells.T)].argmax())]
             x, y = self._floor.centers(best)
@@ -245,12 +245,12 @@ class _NamedRooms:
         return out
 
     def doors(self) -> list[Door]:
-        """Returns the passages between the rooms, with indices of ``rooms``, however wide they are."""
+        """Returns the passages between the rooms, of any width, with indices of ``rooms``."""
         out = []
         for (first, second), pieces in passages(self._labels).items():
             for cells in pieces:
                 door = door_at(self._floor, self._labels, cells, (first, second), (first - 1, second - 1))
-                # Narrower passages are gaps beside furniture, or the inside of hollow walls.
+                # Narrower passages are gaps beside furniture, or the interior of hollow walls.
                 if door.width >= NARROWEST_DOOR - self._floor.resolution:
                     span = np.ptp(cells, axis=0)
                     width = float(np.hypot(*(span + (span > 0)))) * self._floor.resolution

@@ -1,7 +1,7 @@
-"""Shortest paths for a robot on a floor, and the distance of every place to a goal.
+"""Shortest paths for a robot on a floor, and distance fields of goals.
 
-Dijkstra's algorithm on a grid with 32 neighbours finds a path at most 1.3 % longer than the shortest; pulling it taut then removes the
-corners that only the grid has.
+Dijkstra's algorithm on a 32-connected grid finds a path at most 1.3 % longer than the shortest; string pulling then removes the corners
+that are artefacts of the grid.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ _CORNER_COST = 1e-4
 
 
 class PathPlanner:
-    """Paths on one floor for one robot; the graph is made once.
+    """Plans paths on one floor for one robot; the graph is built once.
 
-    A path keeps ``radius`` from all obstacles, to within half the diagonal of a cell.
+    A path keeps a distance of ``radius`` from all obstacles, to within half the diagonal of a cell.
 
     Args:
         floor: the map.
-        radius: of the robot, metres.
+        radius: radius of the robot, metres.
     """
 
     def __init__(self, floor: FloorMap, radius: float) -> None:
@@ -49,7 +49,7 @@ class PathPlanner:
         self._graph = GridGraph(self.places, floor.resolution, reach=_REACH, clear_lines=True)
 
     def distances(self, goal: ArrayLike) -> F64:
-        """Returns (H, W): metres from each cell along the shortest path to a goal (2,), world metres; +inf = no path.
+        """Returns (H, W): length of the shortest path from each cell to a goal (2,), world metres; +inf = no path.
 
         Raises:
             SceneError: the goal is not free.
@@ -72,49 +72,49 @@ class PathPlanner:
                 "give points of one region, or a smaller radius"
             )
         points = self._floor.centers(self._graph.cells[paths.nodes(0, last)])
-        for end, given in ((0, start), (-1, goal)):
-            exact = np.asarray(given, dtype=np.float64)
+        for end, requested in ((0, start), (-1, goal)):
+            exact = np.asarray(requested, dtype=np.float64)
             if self._floor.look_up(self.places, exact, outside=False):
                 points[end] = exact
         return self._taut(points)
 
     def _taut(self, points: F64) -> F64:
-        """Returns the shortest path (K, 2) over those of ``points`` (N, 2) that see each other, world metres."""
+        """Returns the shortest path (K, 2) over those of ``points`` (N, 2) with a line of sight to each other, world metres."""
         if len(points) > _MAX_TAUT_POINTS:
             turns = np.flatnonzero(np.abs(np.diff(points, 2, axis=0)).max(axis=1) > 1e-9) + 1
             spread = np.linspace(0, len(points) - 1, _MAX_TAUT_POINTS).astype(np.int64)
             points = points[np.union1d(turns, spread)]
         count = len(points)
-        left, following = np.zeros(count), np.arange(1, count + 1)
+        costs_to_go, following = np.zeros(count), np.arange(1, count + 1)
         for i in range(count - 2, -1, -1):
-            lengths = np.linalg.norm(points[i + 1 :] - points[i], axis=1) + left[i + 1 :] + _CORNER_COST
+            lengths = np.linalg.norm(points[i + 1 :] - points[i], axis=1) + costs_to_go[i + 1 :] + _CORNER_COST
             best = self._cheapest_seen(points[i], points[i + 1 :], lengths)
-            left[i], following[i] = lengths[best], i + 1 + best
-        chosen = [0]
-        while chosen[-1] != count - 1:
-            chosen.append(int(following[chosen[-1]]))
-        return np.asarray(points[chosen])
+            costs_to_go[i], following[i] = lengths[best], i + 1 + best
+        path = [0]
+        while path[-1] != count - 1:
+            path.append(int(following[path[-1]]))
+        return np.asarray(points[path])
 
     def _cheapest_seen(self, point: F64, others: F64, costs: F64) -> int:
-        """Returns which of some points (N, 2) has the least cost (N,) among those that another (2,) sees; it always sees the first."""
+        """Returns the index of the cheapest of ``others`` (N, 2), by ``costs`` (N,), visible from ``point`` (2,); the first is always visible."""
         longest = float(np.abs(others - point).max()) / self._floor.resolution
         along = np.linspace(0.0, 1.0, int(longest * _SAMPLES_PER_CELL) + 2)
-        # Most lines end in a wall that a few of their points find.
+        # Most lines are blocked by walls, which a few sample points detect.
         likely = self._clear(point, others, along[::_SPARSE])
         order: list[int] = np.argsort(costs, kind="stable").tolist()
         return next(k for k in order if k == 0 or (likely[k] and self._clear(point, others[k : k + 1], along)[0]))
 
     def _clear(self, point: F64, others: F64, along: F64) -> Bools:
-        """Returns (N,): whether the points at parts ``along`` (S,) of the lines from a point (2,) to others (N, 2), metres, are places."""
+        """Returns (N,): whether the points at fractions ``along`` (S,) of the lines from a point (2,) to others (N, 2), metres, are free."""
         lines = point + (others - point)[:, None, :] * along[:, None]
         return np.asarray(self._floor.look_up(self.places, lines, outside=False).all(axis=1))
 
     def _node(self, point: ArrayLike, what: str) -> int:
-        """Returns the node of the place nearest to a point (2,), world metres."""
+        """Returns the node nearest to a point (2,), world metres."""
         if len(self._graph.cells):
-            away = np.linalg.norm(self._floor.centers(self._graph.cells) - np.asarray(point, dtype=np.float64), axis=1)
-            nearest = int(away.argmin())
-            if away[nearest] <= _SNAP_DISTANCE:
+            distances = np.linalg.norm(self._floor.centers(self._graph.cells) - np.asarray(point, dtype=np.float64), axis=1)
+            nearest = int(distances.argmin())
+            if distances[nearest] <= _SNAP_DISTANCE:
                 return nearest
         raise SceneError(
             f"{what} {_text(point)} is not free for a robot of radius {self._radius:g} m, nor is any place within "
@@ -128,7 +128,7 @@ def shortest_path(floor: FloorMap, start: ArrayLike, goal: ArrayLike, *, radius:
     Args:
         floor: the map.
         start: (2,), world metres; moved to the nearest free cell within half a metre.
-        goal: the same.
+        goal: (2,), world metres; moved to the nearest free cell within half a metre.
         radius: distance that the path keeps from obstacles, metres.
 
     Raises:
@@ -138,9 +138,9 @@ def shortest_path(floor: FloorMap, start: ArrayLike, goal: ArrayLike, *, radius:
 
 
 def distance_field(floor: FloorMap, goal: ArrayLike, *, radius: float = 0.3) -> F64:
-    """Returns (H, W): metres from each cell to a goal (2,) along the shortest path, at most 1.3 % too long; +inf = no path.
+    """Returns (H, W): length of the shortest path from each cell to a goal (2,), metres, at most 1.3 % too long; +inf = no path.
 
-    ``FloorMap.distance_to_obstacle`` is the distance to the nearest obstacle instead.
+    Not to be confused with ``FloorMap.distance_to_obstacle``, the distance to the nearest obstacle.
 
     Args:
         floor: the map.

@@ -1,4 +1,4 @@
-"""Places robots in a scene: loads them by name, gives each a namespace and a start pose, and returns one SceneSpec."""
+"""Places robots in a scene: loads them by name, assigns namespaces and start poses, and returns one SceneSpec."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def populate(
     Raises:
         SceneError: the scene cannot be loaded.
         RobotError: a robot cannot be loaded.
-        ConfigError: ``robots`` or ``start`` is none of the above.
+        ConfigError: ``robots`` or ``start`` is invalid.
     """
     return place_robots(load_scene(scene_name, sdf_lamps=sdf_lamps), robots, start, robot_tf=robot_tf)
 
@@ -64,23 +64,23 @@ def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: st
                 f"robot {quoted(entry)} must be name=robot where there are several, e.g. left=gibson_bot,right=gibson_bot"
             )
         if any(name == other.name for other in placed):
-            raise ConfigError(f"two robots are called {quoted(name)}; names must differ")
+            raise ConfigError(f"two robots are named {quoted(name)}; names must be unique")
         robot = in_namespace(load_robot(kind, name=name), name, robot_tf)
-        given = starts[i] if i < len(starts) else ""
-        pose = start_pose(scene, robot, given) if given else free_start(scene, robot, [other.start for other in placed])
+        start_text = starts[i] if i < len(starts) else ""
+        pose = start_pose(scene, robot, start_text) if start_text else free_start(scene, robot, [other.start for other in placed])
         placed.append(replace(robot, start=pose))
     return with_robots(scene, placed)
 
 
 def in_namespace(robot: RobotSpec, namespace: str, robot_tf: str = "namespaced") -> RobotSpec:
-    """Returns the robot with all its topics, including those of its cameras, in ``namespace``, and its frames as ``robot_tf`` says."""
+    """Returns the robot with all its topics, including those of its cameras, in ``namespace``, and its frames according to ``robot_tf``."""
     prefix = f"{namespace}/" if robot_tf == "prefixed" else ""
     cameras = tuple(replace(c, name=f"{namespace}/{c.name}", frame_id=f"{prefix}{c.optical_frame}") for c in robot.cameras)
     return replace(robot, namespace=namespace, frame_prefix=prefix, own_tf=not prefix, cameras=cameras)
 
 
 def free_start(scene: SceneSpec, robot: RobotSpec, others: list[Pose]) -> Pose:
-    """Returns a start (T_world_base) clear of obstacles and of the robots at ``others``: a start pose of the scene, or the nearest free floor."""
+    """Returns a start pose (T_world_base) clear of obstacles and of robots at ``others``: one of the scene, or the nearest free floor."""
     distance = 4.0 * robot.radius + 0.5
 
     def is_clear(x: float, y: float) -> bool:
@@ -126,17 +126,17 @@ def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
 
 
 def robot_floor_map(scene: SceneSpec, robot: RobotSpec) -> FloorMap:
-    """Returns the map of the scene's floor for the height of a robot, with static obstacles alone."""
+    """Returns the map of the scene's floor for the height of a robot, with static obstacles only."""
     return scene_floor_map(scene, robot_height=robot.height)
 
 
 def furnished_floor_map(scene: SceneSpec, robot: RobotSpec) -> FloorMap:
-    """Returns the map of the scene's floor for the height of a robot, with static obstacles and bodies where they stand at load."""
+    """Returns the map of the scene's floor for the height of a robot, with static obstacles and bodies at their start poses."""
     return robot_floor_map(scene, robot).furnished(*body_triangles(scene), robot.height)
 
 
 def _three_numbers(text: str) -> tuple[float, float, float] | None:
-    """Returns three finite numbers separated by commas; None if the text is something else."""
+    """Returns three finite numbers separated by commas; None for other texts."""
     try:
         x, y, yaw = (float(part) for part in text.split(","))
     except ValueError:

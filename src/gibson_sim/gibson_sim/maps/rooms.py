@@ -1,6 +1,6 @@
-"""Rooms and doors of a floor, found in its map: a door is a narrow passage between two wide places.
+"""Segments the map of a floor into rooms and doors: a door is a narrow passage between two open areas.
 
-They are found by a watershed transform of the distance to the nearest obstacle: regions that grow from the most open places meet where the
+The segmentation is a watershed transform of the distance to the nearest obstacle: regions that grow from the most open points meet where
 passages are narrowest. Pure and deterministic.
 """
 
@@ -56,7 +56,7 @@ class Door:
 
 
 def find_rooms(floor: FloorMap) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
-    """Returns the rooms, ordered by x and y, and the doors between them; none for a map with more than 400,000 free cells."""
+    """Returns the rooms, sorted by x and y, and the doors between them; empty for a map with more than 400,000 free cells."""
     if np.count_nonzero(floor.free) > _MAX_CELLS:
         return (), ()
     open_places, _ = ndimage.label(floor.distance_to_obstacle > WIDEST_DOOR / 2)
@@ -81,7 +81,7 @@ def find_rooms(floor: FloorMap) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
 
 
 def _room(floor: FloorMap, labels: NDArray[np.int64], label: int, box: tuple[slice, slice], area: float) -> Room:
-    """Returns the room with a label (H, W); ``box`` are the rows and columns that hold it, ``area`` is in square metres."""
+    """Returns the room of a label in ``labels`` (H, W); ``box``: its rows and columns, ``area``: square metres."""
     cells = np.argwhere(labels[box] == label) + np.array((box[0].start, box[1].start))
     half = floor.resolution / 2
     centers = floor.centers(cells)
@@ -91,7 +91,7 @@ def _room(floor: FloorMap, labels: NDArray[np.int64], label: int, box: tuple[sli
 
 
 def _watershed(clearance: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns labels (H, W) grown over all cells with a clearance above 0, always into the most open cell beside a labelled one."""
+    """Returns labels (H, W) grown over all cells with a clearance above 0, always into the adjacent unlabelled cell with the largest clearance."""
     out = np.array(labels)
     rows, columns = out.shape
     heap = [(-float(clearance[r, c]), int(r), int(c)) for r, c in np.argwhere(_edge(out))]
@@ -107,12 +107,12 @@ def _watershed(clearance: NDArray[np.float64], labels: NDArray[np.int64]) -> NDA
 
 
 def _edge(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Returns (H, W): labelled cells beside one without a label."""
+    """Returns a mask (H, W) of the labelled cells that are adjacent to an unlabelled one."""
     return np.asarray((labels > 0) & (ndimage.minimum_filter(labels, size=3, mode="nearest") == 0))
 
 
 def passages(labels: NDArray[np.int64]) -> dict[tuple[int, int], list[NDArray[np.int64]]]:
-    """Returns the passages between labels (H, W): for every pair, the lower one first, the cells (N, 2) of each place where they meet."""
+    """Returns the passages between labels (H, W): pair of labels, the lower one first -> cells (N, 2) of each connected border segment."""
     borders: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for down, right in ((0, 1), (1, 0)):
         a = labels[: labels.shape[0] - down, : labels.shape[1] - right]
@@ -132,7 +132,7 @@ def passages(labels: NDArray[np.int64]) -> dict[tuple[int, int], list[NDArray[np
 
 
 def _joined(labels: NDArray[np.int64], between: dict[tuple[int, int], list[NDArray[np.int64]]]) -> NDArray[np.int64]:
-    """Returns the labels (H, W), with one label for regions that several passages connect: furniture separates them, not a wall."""
+    """Returns the labels (H, W), with regions merged that are connected by several passages: they are separated by furniture, not by a wall."""
     joined = np.arange(int(labels.max()) + 1)
     for (first, second), pieces in sorted(between.items()):
         if len(pieces) > 1:
@@ -143,21 +143,21 @@ def _joined(labels: NDArray[np.int64], between: dict[tuple[int, int], list[NDArr
 def door_at(
     floor: FloorMap, labels: NDArray[np.int64], cells: NDArray[np.int64], sides: tuple[int, int], rooms: tuple[int, int]
 ) -> Door:
-    """Returns the door whose threshold are ``cells`` (N, 2), as row and column.
+    """Returns the door whose threshold is ``cells`` (N, 2), as row and column.
 
     Args:
         floor: the map.
         labels: (H, W), label of each cell.
-        cells: of the passage, as ``passages`` returns it.
+        cells: cells of the passage, as returned by ``passages``.
         sides: the two labels.
         rooms: indices of their rooms.
     """
     clearance = floor.distance_to_obstacle[tuple(cells.T)]
     row, column = (int(i) for i in cells[int(clearance.argmax())])
     x, y = floor.centers(np.array([row, column]))
-    # The yaw leads from the centroid of the near floor of one room to that of the other.
+    # The yaw is the direction from the centroid of the near floor of one room to that of the other.
     reach = math.ceil(WIDEST_DOOR / floor.resolution)
     near = labels[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
-    here, there = (np.argwhere(near == side).mean(axis=0) for side in sides)
-    yaw = math.atan2(there[0] - here[0], there[1] - here[1])
+    first_side, second_side = (np.argwhere(near == side).mean(axis=0) for side in sides)
+    yaw = math.atan2(second_side[0] - first_side[0], second_side[1] - first_side[1])
     return Door((float(x), float(y)), yaw, 2.0 * float(clearance.max()), rooms)

@@ -1,4 +1,4 @@
-"""Maps and free poses in the folder of a finished scene, made from the scene as it is loaded from there."""
+"""Writes maps and free poses to the folder of a finished scene, computed from the loaded scene."""
 
 from __future__ import annotations
 
@@ -34,10 +34,9 @@ _RESOLUTION = 0.02
 
 
 def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int = 0) -> tuple[Path, ...]:
-    """Writes ``floor_trav_N.png``, ``floors.txt`` and ``free_poses.csv`` to a scene's folder, and returns their paths.
+    """Writes ``floor_trav_N.png``, ``floors.txt`` and ``free_poses.csv`` to a scene's folder; returns their paths.
 
-    Bodies count where they stand at load. All poses of a floor can be reached from each other. The same scene and seed give the same
-    files.
+    Bodies are included at their start poses. All poses of a floor are mutually reachable. The same scene and seed give the same files.
 
     Args:
         folder: folder of the scene, with its scene.yaml.
@@ -56,7 +55,7 @@ def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int
     poses = [pose for number, floor in enumerate(floors) for pose in _poses(scene, number, floor, triangles, robot, rng)]
     paths = write_gibson_maps(floors, folder)
     write_free_poses(folder / FREE_POSES, poses)
-    # Maps of floors that the scene no longer has.
+    # Delete maps of floors that the scene no longer has.
     for old in sorted(set(folder.glob("floor_trav_*.png")) - set(paths)):
         old.unlink()
     return (*paths, folder / FREE_POSES)
@@ -65,18 +64,18 @@ def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int
 def _poses(
     scene: SceneSpec, number: int, floor: FloorMap, triangles: F64, robot: RobotSize, rng: np.random.Generator
 ) -> list[FreePose]:
-    """Returns the poses of one floor in random order: some in every room, and others anywhere.
+    """Returns the poses of one floor in random order: some in each room, the others anywhere.
 
     Args:
         scene: the scene.
-        number: number of the floor.
-        floor: its map.
+        number: index of the floor.
+        floor: map of the floor.
         triangles: (F, 3, 3), collision shapes, world metres.
-        robot: its size.
-        rng: source of randomness.
+        robot: size of the robot.
+        rng: random generator.
     """
     clearance = robot.radius + SPARE
-    # The map has free cells on bumps and ramps that a robot drives up; it does not stand on them level, at the height of the floor.
+    # Exclude free cells on bumps and ramps, on which a robot would not stand level at the height of the floor.
     vertices = triangles.reshape(-1, 3)
     floor = floor.furnished(vertices, np.arange(len(vertices)).reshape(-1, 3), robot.height)
     region = floor.largest_free_region(clearance)
@@ -92,7 +91,7 @@ def _poses(
         heights = np.maximum(heights, scene.ground_z)
     out = []
     for index in rng.permutation(len(poses)):
-        # Rounded as in the file, so that the room is that of the rounded position.
+        # Round as in the file, so that the room is that of the rounded position.
         x, y = (round(c, 3) for c in poses[index].position[:2])
         z = _height(floor, heights, (x, y), robot.radius)
         room = room_at(scene.rooms, x, y, number)
@@ -102,7 +101,7 @@ def _poses(
 
 
 def _cells(floor: FloorMap, room: RoomSpec) -> NDArray[np.bool_]:
-    """Returns (H, W): cells that lie completely in a room."""
+    """Returns a mask (H, W) of the cells completely inside a room."""
     rows, columns = np.indices(floor.shape)
     middles = floor.centers(np.stack([rows, columns], axis=-1))
     half = floor.resolution / 2
@@ -113,7 +112,7 @@ def _cells(floor: FloorMap, room: RoomSpec) -> NDArray[np.bool_]:
 
 
 def _surface(floor: FloorMap, triangles: F64) -> F64:
-    """Returns (H, W): height of the surface that a robot stands on, world metres, from triangles (F, 3, 3); -inf = there is none."""
+    """Returns (H, W): height of the surface that supports a robot, world metres, from triangles (F, 3, 3); -inf = no surface."""
     low, high = floor.floor_z - FLOOR_TOLERANCE, floor.floor_z + FLOOR_CLEARANCE
     near = triangles[(triangles[:, :, 2].min(axis=1) >= low) & (triangles[:, :, 2].max(axis=1) <= high)]
     level = near[np.abs(unit_normals(near)[:, 2]) > 0.9]
@@ -121,7 +120,7 @@ def _surface(floor: FloorMap, triangles: F64) -> F64:
 
 
 def _height(floor: FloorMap, heights: F64, xy: tuple[float, float], radius: float) -> float:
-    """Returns the greatest of the heights (H, W) below a disc about a point, world metres; the floor's where there are none."""
+    """Returns the maximum of the heights (H, W) below a disc about a point, world metres; that of the floor without a surface."""
     row, column = (int(i) for i in floor.cells(xy))
     reach = math.ceil(radius / floor.resolution)
     rows = slice(max(0, row - reach), row + reach + 1)

@@ -1,4 +1,4 @@
-"""Plans tours of a scene for a robot: where to start, and a path past places far apart. Pure and deterministic."""
+"""Plans tours of a scene for a robot: a start pose, and a path through places far apart. Pure and deterministic."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def choose_start(floor_map: FloorMap, radius: float) -> tuple[float, float, floa
 
     Args:
         floor_map: the map.
-        radius: of the robot, metres.
+        radius: radius of the robot, metres.
 
     Raises:
-        SceneError: the robot fits nowhere.
+        SceneError: the floor has no room for the robot.
     """
     region = floor_map.largest_free_region(radius)
     if not region.any():
@@ -63,14 +63,14 @@ def choose_start(floor_map: FloorMap, radius: float) -> tuple[float, float, floa
 def plan_tour(floor_map: FloorMap, start_xy: tuple[float, float], radius: float, length_m: float) -> F64:
     """Returns a path (N, 2) that starts at ``start_xy`` and visits places far apart, world metres.
 
-    The next goal is always the open place farthest from the tour so far; the tour begins again once it has visited every place. A disc
+    The next goal is always the open place farthest from the previous tour; the tour restarts once it has visited every place. A disc
     of ``radius`` about any point of the path lies in free space, except within ``START_TOLERANCE`` of a start beside an obstacle.
 
     Args:
         floor_map: the map.
-        start_xy: world metres.
-        radius: of the robot, metres.
-        length_m: length of the path, metres, met to within 1 m.
+        start_xy: start, world metres.
+        radius: radius of the robot, metres.
+        length_m: length of the path, metres, accurate to 1 m.
 
     Raises:
         ConfigError: a length or radius is not above 0, or the start is not free; the message names the nearest free place.
@@ -81,16 +81,16 @@ def plan_tour(floor_map: FloorMap, start_xy: tuple[float, float], radius: float,
     graph = _TourGraph(floor_map, radius, start_xy)
     legs: list[F64] = [np.array([start_xy], dtype=np.float64)]
     visited: list[I64] = []
-    here, length, path = graph.start, 0.0, legs[0]
-    # Smoothing shortens a path, so plan half a metre more and cut it.
+    node, length, path = graph.start, 0.0, legs[0]
+    # Smoothing shortens the path, so plan half a metre more and truncate it.
     while length < length_m + 0.5:
-        nodes = graph.next_leg(here, visited)
+        nodes = graph.next_leg(node, visited)
         if len(nodes) < 2:
             raise SceneError(
                 f"tour: from {_at(start_xy)} the robot (radius {radius:g} m) can drive nowhere; choose another start"
             )
         visited.append(nodes)
-        here = int(nodes[-1])
+        node = int(nodes[-1])
         legs.append(_smoothed(graph, _taut(graph, graph.points[nodes])))
         path = np.concatenate(legs)
         length = path_length(path)
@@ -98,7 +98,7 @@ def plan_tour(floor_map: FloorMap, start_xy: tuple[float, float], radius: float,
 
 
 class _TourGraph:
-    """The cells that the robot can reach from its start, 8-connected, in which a metre costs more near obstacles."""
+    """The cells that the robot can reach from its start, 8-connected, with a cost per metre that increases near obstacles."""
 
     def __init__(self, floor_map: FloorMap, radius: float, start_xy: tuple[float, float]) -> None:
         self.floor_map, self.radius = floor_map, radius
@@ -112,28 +112,28 @@ class _TourGraph:
         self.start = int(self._grid.numbers[start_cell])
         self.points = floor_map.centers(self._grid.cells)
 
-    def next_leg(self, here: int, visited: list[I64]) -> I64:
-        """Returns the nodes from ``here`` to the open place farthest from ``visited``; clears that list if every place is near to it."""
+    def next_leg(self, start: int, visited: list[I64]) -> I64:
+        """Returns the nodes from ``start`` to the open place farthest from ``visited``; clears that list if all places are near it."""
         for _ in range(2):
-            away = self._grid.distances(np.unique(np.concatenate([*visited, [here]])))
+            distances = self._grid.distances(np.unique(np.concatenate([*visited, [start]])))
             openness = np.clip((self.clearance - self.radius) / PREFERRED_CLEARANCE, 0.2, 1.0)
-            goal = int((away * openness).argmax())
-            if away[goal] > SEEN_WITHIN or not visited:
+            goal = int((distances * openness).argmax())
+            if distances[goal] > SEEN_WITHIN or not visited:
                 break
             visited.clear()
-        return self._grid.shortest_paths(here).nodes(0, goal)
+        return self._grid.shortest_paths(start).nodes(0, goal)
 
     def is_free(self, points: F64) -> Bools:
         """Returns (N,): whether the robot fits at points (N, 2), world metres."""
         return self.floor_map.look_up(self.allowed, points, outside=False)
 
     def samples(self, points: F64) -> F64:
-        """Returns points (M, 2) along a polyline (N, 2), a quarter of a cell apart, world metres."""
+        """Returns sample points (M, 2) along a polyline (N, 2), a quarter of a cell apart, world metres."""
         return _resample(points, math.inf, self.floor_map.resolution / 4)
 
 
 def _start_cell(floor_map: FloorMap, allowed: Bools, start_xy: tuple[float, float], radius: float) -> I64:
-    """Returns row and column (2,) of the start, or of the nearest allowed cell where the start is not free."""
+    """Returns row and column (2,) of the start, or of the nearest allowed cell if the start is not free."""
     nearest = floor_map.nearest_free(start_xy, radius)
     if nearest is None:
         raise SceneError(f"tour: no place on the floor is free for a robot of radius {radius:g} m; check floor_z of the scene")
@@ -149,23 +149,23 @@ def _start_cell(floor_map: FloorMap, allowed: Bools, start_xy: tuple[float, floa
 
 
 def _taut(graph: _TourGraph, points: F64) -> F64:
-    """Returns the corners (M, 2) of a path (N, 2) that is pulled taut wherever that loses little clearance, world metres."""
+    """Returns the corners (M, 2) of a path (N, 2) after string pulling, except where that loses much clearance, world metres."""
     corners = [0]
     while corners[-1] < len(points) - 1:
         first = corners[-1]
-        # Doubling the step after each good shortcut and halving it otherwise keeps the number of trials low.
-        good, step = first + 1, 1
+        # Double the step after each valid shortcut and halve it otherwise, to keep the number of trials low.
+        last_valid, step = first + 1, 1
         while step:
-            last = min(good + step, len(points) - 1)
-            if last > good and _shortcut_is_good(graph, points[first : last + 1]):
-                good, step = last, step * 2
+            last = min(last_valid + step, len(points) - 1)
+            if last > last_valid and _is_valid_shortcut(graph, points[first : last + 1]):
+                last_valid, step = last, step * 2
             else:
                 step //= 2
-        corners.append(good)
+        corners.append(last_valid)
     return points[corners]
 
 
-def _shortcut_is_good(graph: _TourGraph, points: F64) -> bool:
+def _is_valid_shortcut(graph: _TourGraph, points: F64) -> bool:
     """Returns whether the line between the ends of a path (N, 2), world metres, is free and loses little clearance."""
     line = graph.samples(points[[0, -1]])
     if not graph.is_free(line).all():
@@ -176,7 +176,7 @@ def _shortcut_is_good(graph: _TourGraph, points: F64) -> bool:
 
 
 def _smoothed(graph: _TourGraph, corners: F64) -> F64:
-    """Returns the path (M, 2) with its corners (N, 2) cut off repeatedly wherever the cut is free, world metres."""
+    """Returns the path (M, 2) with its corners (N, 2) repeatedly cut where the cut is free, world metres."""
     for _ in range(_SMOOTHING_PASSES):
         if len(corners) < 3:
             break
@@ -195,7 +195,7 @@ def _towards(corner: F64, neighbour: F64) -> F64:
 
 
 def _resample(points: F64, length_m: float, spacing: float = SPACING) -> F64:
-    """Returns a polyline (M, 2) cut at ``length_m``: the corners ``points`` (N, 2), and points between at most ``spacing`` metres apart."""
+    """Returns a polyline (M, 2) truncated at ``length_m``: the corners ``points`` (N, 2), and points between at most ``spacing`` metres apart."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
     total = min(float(arc[-1]), length_m)
@@ -206,7 +206,7 @@ def _resample(points: F64, length_m: float, spacing: float = SPACING) -> F64:
 
 
 def _free_length(floor_map: FloorMap, start: F64, heading: float) -> float:
-    """Returns the length of the free line from ``start`` (2,), world metres, along a heading in radians; metres, at most 10."""
+    """Returns the length of the free line from ``start`` (2,), world metres, along a heading (radians); metres, at most 10."""
     distances = np.arange(0.0, 10.0, floor_map.resolution)
     line = start + distances[:, None] * np.array([math.cos(heading), math.sin(heading)])
     blocked = np.flatnonzero(floor_map.clearance(line) <= 0.0)

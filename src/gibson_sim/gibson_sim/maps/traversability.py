@@ -1,6 +1,6 @@
-"""Traversability of each floor of a scene for a robot of some size, over low steps and gentle slopes, and below things that are higher.
+"""Traversability of each floor of a scene for a robot of a given size, over low steps and gentle slopes, and below higher obstacles.
 
-The heights of the floors are those that the scene names, or are found in its triangles.
+The heights of the floors are given by the scene, or detected in its triangles.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _BIN = 0.02
 
 @dataclass(frozen=True, slots=True)
 class RobotSize:
-    """The size and abilities of a robot that decide where it can go."""
+    """The size and capabilities of a robot that determine traversability."""
 
     radius: float = 0.3
     """Radius of the circle about its base, metres."""
@@ -84,16 +84,16 @@ def floor_maps(
     floors: Sequence[float] | None = None,
     bodies: bool = True,
 ) -> tuple[FloorMap, ...]:
-    """Returns a map of every floor, from the lowest: its free cells are those that a robot can reach and stand in.
+    """Returns a map of every floor, from the lowest: its free cells are those that the robot can reach and stand in.
 
-    Obstacles are not inflated by the robot's radius: ``FloorMap.inflate``, ``shortest_path`` and the others do that.
+    Obstacles are not inflated by the robot's radius: ``FloorMap.inflate``, ``shortest_path`` and other functions do that.
 
     Args:
-        scene: the scene, of which the collision shapes count.
-        robot: None = one 0.5 m high that climbs 3 cm.
+        scene: the scene, whose collision shapes are used.
+        robot: size of the robot; None = 0.5 m high, climbs 3 cm.
         resolution: edge of a cell, metres; made coarser, with a warning, if a map would become too large.
         floors: heights of the floors, world metres; None = those of ``scene_floors``.
-        bodies: whether movable things count too, where they stand at load; without them the map is as if all doors were open.
+        bodies: whether to include movable bodies at their start poses; without them the map is that with all doors open.
 
     Raises:
         SceneError: the scene has no surface at a floor's height.
@@ -117,16 +117,16 @@ def traversable_map(
 ) -> FloorMap:
     """Returns the map of one floor.
 
-    A robot can stand in a cell at the height of a surface within the slope limit that has nothing between the robot's step and its height
-    above it. The cell is free if such places lead to it from the floor, each at most a step higher or lower than the one before. Cells
-    inside solids that stand on the floor are not free.
+    A robot can stand in a cell on a surface within the slope limit that has no obstacle between the robot's step and its height above it. The
+    cell is free if a chain of such cells connects it to the floor, each at most a step higher or lower than the previous one. Cells inside
+    solids that stand on the floor are not free.
 
     Args:
         corners: (F, 3, 3), triangles, world metres.
         floor_z: height of the floor, world metres.
-        robot: its size.
+        robot: size of the robot.
         resolution: edge of a cell, metres; made coarser, with a warning, if the map would become too large.
-        ground_plane: whether there is floor everywhere; a floor among the triangles takes precedence.
+        ground_plane: whether the floor is everywhere; a floor among the triangles takes precedence.
 
     Raises:
         SceneError: the scene has no surface at this height.
@@ -156,11 +156,11 @@ def traversable_map(
 
 
 def scene_floors(scene: SceneSpec, triangles: tuple[F64, NDArray[np.int32]] | None = None) -> tuple[float, ...]:
-    """Returns the heights of all floors, from the lowest, world metres: those that the scene names, else those that are found.
+    """Returns the heights of all floors, from the lowest, world metres: those given by the scene, else detected ones.
 
     Args:
         scene: the scene.
-        triangles: its ``collision_triangles``: vertices (V, 3), world metres, and triangles (F, 3); None = loads them.
+        triangles: its ``collision_triangles``: vertices (V, 3), world metres, and triangles (F, 3); None = load them.
     """
     if scene.other_floors:
         return scene.floors
@@ -172,7 +172,7 @@ def scene_floors(scene: SceneSpec, triangles: tuple[F64, NDArray[np.int32]] | No
 def find_floors(vertices: F64, triangles: NDArray[np.int32]) -> tuple[float, ...]:
     """Returns the heights of the floors of a mesh, from the lowest, world metres.
 
-    The mesh must reach at least 1.5 m above a floor: a roof is none.
+    The mesh must extend at least 1.5 m above a floor: a roof is not a floor.
 
     Args:
         vertices: (V, 3), world metres.
@@ -190,7 +190,7 @@ def find_floors(vertices: F64, triangles: NDArray[np.int32]) -> tuple[float, ...
     found: list[tuple[float, float]] = []
     while len(z):
         bins = np.floor((z - z.min()) / _BIN).astype(np.int64)
-        # The noise of a scan spreads a floor over three bins.
+        # Noise of a scan spreads a floor over three bins.
         height = np.convolve(np.bincount(bins, weights=areas), np.ones(3), mode="same")
         peak = z.min() + (int(height.argmax()) + 0.5) * _BIN
         near = np.abs(z - peak) <= 1.5 * _BIN
@@ -204,11 +204,11 @@ def find_floors(vertices: F64, triangles: NDArray[np.int32]) -> tuple[float, ...
 
 
 def scene_triangles(scene: SceneSpec, *, bodies: bool = True) -> F64:
-    """Returns the collision shapes of everything but robots as triangles (F, 3, 3), world metres; bodies where they stand at load.
+    """Returns the collision shapes of a scene without its robots as triangles (F, 3, 3), world metres; bodies at their start poses.
 
     Args:
         scene: the scene.
-        bodies: whether movable things count too.
+        bodies: whether to include movable bodies.
     """
     fixed = collision_triangles(scene)
     vertices, triangles = merge([fixed, body_triangles(scene)]) if bodies and scene.bodies else fixed
@@ -216,7 +216,7 @@ def scene_triangles(scene: SceneSpec, *, bodies: bool = True) -> F64:
 
 
 def _layers(surfaces: F64, floor_z: float, grid: Grid, solid: Bools, ground_plane: bool) -> Bools:
-    """Returns (L, H, W): cells with a surface (F, 3, 3), by layers of height; the middle layer is at the floor.
+    """Returns a mask (L, H, W) of the cells with a surface (F, 3, 3), by height layer; the middle layer is at the floor.
 
     Cells that are ``solid``, (H, W), have no floor.
     """
@@ -226,7 +226,7 @@ def _layers(surfaces: F64, floor_z: float, grid: Grid, solid: Bools, ground_plan
         low = floor_z + (index - half - 0.5) * _LAYER
         inside = surfaces[_reaches(surfaces, low, low + _LAYER)]
         layers[index] = grid.cover(clip_to_slab(inside, low, low + _LAYER))
-    # The floor tiles of a model may leave cracks between them.
+    # There may be gaps between the floor tiles of a model.
     about = layers[half - 2 : half + 3].any(axis=0)
     closed = ndimage.binary_closing(np.pad(about, 2), np.ones((3, 3)))[2:-2, 2:-2]
     layers[half] |= closed & ~about
@@ -237,13 +237,13 @@ def _layers(surfaces: F64, floor_z: float, grid: Grid, solid: Bools, ground_plan
 
 
 def _grown(seeds: Bools, places: Bools, steps: int) -> Bools:
-    """Returns (L, H, W): the places connected to seeds over neighbouring cells, each at most ``steps`` layers higher or lower."""
+    """Returns a mask (L, H, W) of the ``places`` connected to ``seeds`` over adjacent cells, each at most ``steps`` layers higher or lower."""
     structure = np.zeros((2 * steps + 1, 3, 3), dtype=bool)
     structure[:, 1, :] = structure[:, :, 1] = True
     used = np.flatnonzero(places.any(axis=(1, 2)))
     if not len(used):
         return np.zeros_like(places)
-    # Leaving out empty layers at the bottom and the top saves time.
+    # Omit empty layers at the bottom and the top to save time.
     part = slice(int(used[0]), int(used[-1]) + 1)
     out = np.zeros_like(places)
     out[part] = ndimage.binary_propagation(seeds[part], structure, mask=places[part])
@@ -251,12 +251,12 @@ def _grown(seeds: Bools, places: Bools, steps: int) -> Bools:
 
 
 def _reaches(corners: F64, low: float, high: float) -> Bools:
-    """Returns (F,): which triangles (F, 3, 3) have a part between two heights."""
+    """Returns a mask (F,) of the triangles (F, 3, 3) with a part between two heights."""
     return np.asarray((corners[:, :, 2].max(axis=1) >= low) & (corners[:, :, 2].min(axis=1) <= high))
 
 
 def _quantile(values: F64, weights: F64, share: float) -> float:
-    """Returns the least of the values (N,) up to which they have a share of all weights (N,)."""
+    """Returns the weighted quantile of values (N,): the smallest value up to which they have a share of all weights (N,)."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][min(int(np.searchsorted(total, share * total[-1])), len(values) - 1)])

@@ -1,4 +1,4 @@
-"""``gibson-sim bag``: checks, plots and repairs a bag, makes pictures and videos of it, or a bag of pictures."""
+"""``gibson-sim bag``: checks, plots and repairs bags, writes images and videos from bags, and bags from images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``gibson-sim drive``, ``record``, ``snapshot`` and ``web``: replace this process by a node that joins a running simulation."""
+"""``gibson-sim drive``, ``record``, ``snapshot`` and ``web``: replace this process by a node that connects to a running simulation."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _web(args: argparse.Namespace) -> int:
 
 
 def check_web_port(args: argparse.Namespace) -> None:
-    """Checks the port of the page or of the Foxglove server, which this process then serves.
+    """Checks the port of the page or of the Foxglove server.
 
     Raises:
         ConfigError: it cannot be used.
@@ -72,7 +72,7 @@ def check_web_port(args: argparse.Namespace) -> None:
 
 
 def _become(name: str, cls: type[Any], args: argparse.Namespace) -> int:
-    """Replaces this process by the node, which thus owns the terminal, the signals and the exit code."""
+    """Replaces this process by the node, so that it owns the terminal, the signals and the exit code."""
     require_nodes()
     config = settings_from_args(cls, args)
     environment = environment_of(args)

@@ -56,9 +56,9 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
-    for folder in (args.real, args.sim):  # both before the first is read, which takes a while
+    for folder in (args.real, args.sim):  # check both first, since reading a bag takes long
         check_bag(folder)
-    # Loaded here: the other sub-commands need no SciPy.
+    # Imported here, since the other sub-commands do not need SciPy.
     from gibson_sim.bags.comparison.compare import compare
     from gibson_sim.bags.comparison.figures import figures, text_table
     from gibson_sim.bags.comparison.load import load_recording
@@ -87,7 +87,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
         changed = [one for one in comparison.parameters if one.changes]
         output = write_fitted(robot_file(args.robot), changed, args.output or Path("fitted.yaml"))
         for one in sorted(comparison.parameters, key=lambda parameter: not parameter.changes):
-            if one.changes or one.deviation:  # values that messages contain and the file already has are not printed
+            if one.changes or one.deviation:  # do not print values from messages that the file already has
                 print(one.verdict)
         print(f"wrote {output}: {len(changed)} values changed; try it with `gibson-sim run --robot {output}`")
     return ExitCode.OK

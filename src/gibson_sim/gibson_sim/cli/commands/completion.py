@@ -1,4 +1,4 @@
-"""``gibson-sim completion``, and the answers to a shell that completes a command line of ``gibson-sim``.
+"""``gibson-sim completion``, and the completions of a command line of ``gibson-sim`` for a shell.
 
 argcomplete speaks the protocols of bash, zsh and fish: the shell runs ``gibson-sim`` itself with the line in the environment. An answer
 loads only the command that the line names, and asks a running simulation only for names that it alone knows. It never prints an error:
@@ -27,9 +27,9 @@ from gibson_sim.writing import write_file
 
 SHELLS = ("bash", "zsh", "fish")
 TIMEOUT_S = 5.0
-"""Wall time in which a running simulation must have told its names, s."""
+"""Timeout for the names of a running simulation, s of wall time."""
 CACHE_S = 10.0
-"""Age up to which names of a running simulation are used again, s: a second press of TAB is answered at once."""
+"""Maximum age of cached names of a running simulation, s, so that repeated presses of TAB are fast."""
 
 Completer = Callable[..., Iterable[str]]
 
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def answer() -> NoReturn:
-    """Answers the shell that runs this process for completions, and ends the process."""
+    """Prints the completions for the shell that runs this process, and exits."""
     try:
         from argcomplete.finders import CompletionFinder
 
@@ -72,7 +72,7 @@ def answer() -> NoReturn:
 
 
 def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
-    """Returns a parser that knows the command that the finished words of a line begin with, and of all others the names."""
+    """Returns a parser with the command at the beginning of the completed words of a line, and only the names of the others."""
     parser = Parser(prog="gibson-sim")
     parser.add_argument("--version", action="store_true", help="print the version")
     modules = (
@@ -85,7 +85,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_named(subparsers: Any, modules: dict[str, str], words: Sequence[str]) -> None:
-    """Adds the sub-command that ``words`` begin with, loading its module alone; if there is none, the names of all."""
+    """Adds the sub-command at the beginning of ``words``, importing only its module; without one, the names of all sub-commands."""
     if not words:
         for name in modules:
             subparsers.add_parser(name, help="")
@@ -96,7 +96,7 @@ def _add_named(subparsers: Any, modules: dict[str, str], words: Sequence[str]) -
 
 
 def _attach(parser: argparse.ArgumentParser) -> None:
-    """Gives every argument of a parser and of its sub-commands that has names of ours their completer."""
+    """Sets the completers of the arguments of a parser and of its sub-commands."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for below in action.choices.values():
@@ -113,19 +113,19 @@ def _completer_of(action: argparse.Action) -> Completer | None:
     if suggestions:
         return lambda **_: suggestions
     if action.metavar == "ENTITY":
-        return _told("entities")
+        return _reported("entities")
     if action.dest in _COMPLETERS and action.type in (None, str):
         return _COMPLETERS[action.dest]
     return _nothing if action.type in (int, float) else None
 
 
 def _nothing(**_: Any) -> Iterable[str]:
-    """Returns no names: a number is to be typed."""
+    """Returns no completions, for numbers."""
     return ()
 
 
 def _names(listed: Callable[[], list[str]]) -> Completer:
-    """Returns a completer for names of ours, and for files, which may stand in their place."""
+    """Returns a completer for names of resources, and for files, which are also allowed."""
 
     def complete(prefix: str, **_: Any) -> Iterable[str]:
         from argcomplete.completers import FilesCompleter
@@ -136,8 +136,8 @@ def _names(listed: Callable[[], list[str]]) -> Completer:
     return complete
 
 
-def _told(kind: str) -> Completer:
-    """Returns a completer for names that a running simulation tells."""
+def _reported(kind: str) -> Completer:
+    """Returns a completer for names that a running simulation reports."""
 
     def complete(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
         names = _names_of_simulation(parsed_args).get(kind, [])
@@ -147,7 +147,7 @@ def _told(kind: str) -> Completer:
 
 
 def _parameters(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
-    """Returns the parameters of the node that stands before on the line."""
+    """Returns the parameters of the node that precedes them on the line."""
     node = str(getattr(parsed_args, "node", "") or "")
     by_node: dict[str, list[str]] = _names_of_simulation(parsed_args).get("parameters", {}) if node else {}
     return by_node.get(f"/{node.removeprefix('/')}", [])
@@ -155,11 +155,11 @@ def _parameters(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> Itera
 
 _COMPLETERS: dict[str, Completer] = {
     "scene": _names(list_scenes), "scenes": _names(list_scenes), "world": _names(list_scenes), "robot": _names(list_robots),
-    "uri": _names(lambda: [*known_objects(), *list_robots()]), "topic": _told("topics"), "topics": _told("topics"),
-    "service": _told("services"), "action": _told("actions"), "node": _told("nodes"), "name": _parameters,
+    "uri": _names(lambda: [*known_objects(), *list_robots()]), "topic": _reported("topics"), "topics": _reported("topics"),
+    "service": _reported("services"), "action": _reported("actions"), "node": _reported("nodes"), "name": _parameters,
     "drive": _names(lambda: list(DRIVES)),
 }  # fmt: skip
-"""Name of an argument -> its completer."""
+"""Name of an argument -> completer."""
 
 
 def _names_of_simulation(args: argparse.Namespace) -> dict[str, Any]:

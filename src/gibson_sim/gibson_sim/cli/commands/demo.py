@@ -1,4 +1,4 @@
-"""``gibson-sim demo``: runs a scripted robot in a simulation of its own, and makes a film strip and a video of it."""
+"""``gibson-sim demo``: runs a scripted robot in a new simulation, and writes a film strip and a video of it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LATE_S = 120.0
 """Timeout of a lockstep participant, seconds of wall time: software rendering is slow."""
 _TOPICS = ("scene", STATE_TOPIC, "cmd_vel", "joint_command", "grasp", "grasp_state", "task/info", "task/goal", "task/result")
 _MOST_HZ = 60.0
-"""Highest image rate, Hz."""
+"""Maximum image rate, Hz."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     ground = ground_of(args.scene, args.robot)
     if not ground.robot.cameras:
         raise ConfigError(f"robot {args.robot!r} has no camera; choose one that has, such as arm_bot")
-    Arm(ground.robot)  # raises if it has none
+    Arm(ground.robot)  # raises if the robot has no arm
     episode = OpenDoor().generate(args.seed, ground)
     bag = args.out / "bag"
     if bag.exists():
@@ -151,7 +151,7 @@ def _plan(args: argparse.Namespace, folder: Path, episode: Episode, door: Hinged
 
 
 def _view(door: HingedDoor, width: int, height: int, rate_hz: float) -> dict[str, Any]:
-    """Returns a camera above the room in front of a door, from which the leaf swings away."""
+    """Returns a camera above the room in front of a door, on the side from which the leaf swings away."""
     x, y = door.off(0.35 * door.width, 0.7)
     return {
         "name": VIEW,
@@ -173,7 +173,7 @@ def _view(door: HingedDoor, width: int, height: int, rate_hz: float) -> dict[str
 
 
 def _measured(bag: Path, door: HingedDoor, wide: float) -> dict[str, float]:
-    """Returns the motion of a door by the published states: seconds after the start of the bag, and degrees."""
+    """Returns the motion of a door, measured from the published states: seconds after the start of the bag, and degrees."""
     from gibson_sim.tasks.episode import Observation
     from gibson_sim.types import Pose
 
@@ -205,7 +205,7 @@ def _measured(bag: Path, door: HingedDoor, wide: float) -> dict[str, float]:
 
 
 def _pictures(args: argparse.Namespace, bag: Path, camera: str, measured: dict[str, float]) -> tuple[Path, Path]:
-    """Writes the film strip and the video: the robot's camera above, the view of the robot below."""
+    """Writes the film strip and the video: the robot's camera at the top, the view of the robot at the bottom."""
     strip, video = args.out / f"{args.demo.replace('-', '_')}.png", args.out / f"{args.demo.replace('-', '_')}.mp4"
     write_film_strip(bag, strip, topics=(camera, VIEW), columns=args.columns, begin=measured["begin_s"])
     write_film(bag, video, topics=(camera, VIEW), begin=measured["begin_s"])

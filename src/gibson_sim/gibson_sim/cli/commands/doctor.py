@@ -29,12 +29,12 @@ Status = Literal["ok", "warn", "FAIL"]
 TIMEOUT_S = 60.0
 """Timeout of one check, seconds."""
 SHM_WANTED_MB, DISK_WANTED_MB = 256, 2000
-"""Free shared memory and disk space below which a warning is printed."""
+"""Minimum free shared memory and disk space; below these a warning is printed."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report."""
+    """A line of the report."""
 
     what: str
     status: Status
@@ -97,7 +97,7 @@ MESSAGES = {
     "rosbag2_interfaces": False,
     "simulation_interfaces": False,
 }
-"""Message packages that a ROS installation may lack -> whether they are required."""
+"""Message package that may be missing in a ROS installation -> whether it is required."""
 
 
 def _ros() -> Iterator[Finding]:
@@ -158,7 +158,7 @@ _GRAPHICS_REMEDY = (
 
 
 def _graphics() -> Iterator[Finding]:
-    """Draws on each device in a process of its own: a working device may coexist with a broken one."""
+    """Renders on each device in a separate process: a working device may coexist with a faulty one."""
     ok, text = _try(_DEVICES)
     if not ok:
         yield Finding("EGL", "FAIL", text, _GRAPHICS_REMEDY)
@@ -187,7 +187,7 @@ def _egl_device(device: dict[str, Any]) -> Finding:
 
 
 def _cuda(nvidia: list[dict[str, Any]]) -> Finding:
-    """Checks whether tensors can stay on the GPU: CUDA must see a GPU that draws."""
+    """Checks whether tensors can stay on the GPU: the rendering GPU must be visible to CUDA."""
     ok, text = _try(_CUDA)
     if not ok:
         return Finding("CUDA", "warn", text, "only for tensors on the GPU: pip install gibson-sim[cuda]; all else works without")
@@ -232,7 +232,7 @@ def _dds() -> Iterator[Finding]:
 
 
 def _routed_localnet(folder: Path = Path("/proc/sys/net/ipv4/conf")) -> str:
-    """Returns the network interfaces whose packets the kernel hands to 127.0.0.1 (``route_localnet``), joined by commas."""
+    """Returns the network interfaces whose packets the kernel routes to 127.0.0.1 (``route_localnet``), joined by commas."""
     found = []
     for setting in sorted(folder.glob("*/route_localnet")):
         with suppress(OSError):

@@ -22,7 +22,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints one line a variable; returns 0."""
+    """Prints one line per variable; returns 0."""
     if args.reach:
         variables = reach_variables(os.environ, args.reach)
     else:

@@ -1,4 +1,4 @@
-"""``gibson-sim gallery``: draws one picture of all outputs, cameras, effects and lights of a scene."""
+"""``gibson-sim gallery``: renders one image of all outputs, cameras, effects and lights of a scene."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: the other sub-commands need no OpenGL.
+    # Imported here, since the other sub-commands do not need OpenGL.
     from gibson_sim.render.cache import default_folder
     from gibson_sim.sensors.gallery import EYE_HEIGHT, gallery
 

@@ -1,4 +1,4 @@
-"""``gibson-sim params``: lists every setting of every node, as text or as the tables of docs/parameters.md."""
+"""``gibson-sim params``: lists all settings of all nodes, as text or as the tables of docs/parameters.md."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def markdown(configs: Mapping[str, type[Any]] = NODE_CONFIGS) -> str:
-    """Returns one Markdown table a node."""
+    """Returns one Markdown table per node."""
     parts = []
     for node, cls in configs.items():
         rows = ["| parameter | type | default | allowed | meaning |", "|---|---|---|---|---|"]
@@ -53,5 +53,5 @@ def text(configs: Mapping[str, type[Any]] = NODE_CONFIGS) -> str:
 
 
 def allowed(f: Field[Any]) -> str:
-    """Returns the allowed values of a setting with their unit, in words."""
+    """Returns the allowed values of a setting with their unit, as text."""
     return ", ".join(f.metadata["choices"]) or limits_of(f)

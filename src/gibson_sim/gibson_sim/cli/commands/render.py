@@ -1,4 +1,4 @@
-"""``gibson-sim render``: draws a recorded run again from its states, with other cameras, lights or appearances."""
+"""``gibson-sim render``: re-renders a recorded run from its states, with other cameras, lights or appearances."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Replaces this process by the one that draws, which thus owns the terminal, the signals and the exit code; or draws with workers."""
+    """Replaces this process by the rendering process, so that it owns the terminal, the signals and the exit code; or renders with workers."""
     require_nodes()
     bags, output = args.bag, args.output
     backend = backend_of(args, "bags")
     if len(bags) > 1 or args.ray is not None:
-        return _run_over(args, bags, output, backend)
+        return _run_on_workers(args, bags, output, backend)
     args.bag = bags[0]
     job = settings_from_args(RenderBagConfig, args)
     render = RenderConfig(**given(args, _RENDER))
@@ -74,15 +74,15 @@ def _run(args: argparse.Namespace) -> int:
     become("render_bag", [json.dumps({"bag": asdict(job), "render": asdict(render)})], environment)
 
 
-def _run_over(args: argparse.Namespace, bags: list[str], output: str, backend: Backend | None) -> int:
-    """Draws each bag on a worker; prints one line for each."""
+def _run_on_workers(args: argparse.Namespace, bags: list[str], output: str, backend: Backend | None) -> int:
+    """Renders each bag on a worker; prints one line for each."""
     from gibson_sim.jobs.local import LocalWorkers
     from gibson_sim.jobs.units import Unit, UnitResult, run_units
 
     render = asdict(RenderConfig(**given(args, _RENDER)))
     units: list[Unit] = []
     names: dict[str, str] = {}
-    """Name of a new bag -> recorded one."""
+    """Name of a new bag -> recorded bag."""
     for bag in bags:
         check_bag(bag)
         args.bag = bag
@@ -98,9 +98,9 @@ def _run_over(args: argparse.Namespace, bags: list[str], output: str, backend: B
         units.append(Unit(name, _FUNCTION, {"bag": job, "render": render, "files": shipped}, files))
 
     def on_result(result: UnitResult) -> None:
-        said = result.value if not result.error else f"error: {result.error}"
+        text = result.value if not result.error else f"error: {result.error}"
         where = "" if result.log is None else f" (see {result.log})"
-        print(f"{Path(output) / result.id}: {said}{where}", flush=True, file=sys.stderr if result.error else sys.stdout)
+        print(f"{Path(output) / result.id}: {text}{where}", flush=True, file=sys.stderr if result.error else sys.stdout)
 
     results = run_units(units, backend or LocalWorkers(1), output=Path(output), on_result=on_result)
     return ExitCode.ERROR if any(result.error for result in results) else ExitCode.OK

@@ -1,4 +1,4 @@
-"""``gibson-sim replay``: repeats a recorded run from its settings and inputs, and verifies that the result is the same."""
+"""``gibson-sim replay``: replays a recorded run from its settings and inputs, and verifies that the result is the same."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _OF_THE_RUN = (
     "start_paused",
     "on_timeout",
 )
-"""Settings of how the recorded run was started and ended, which do not change what happens in it."""
+"""Settings of start, end and output of the recorded run, which do not affect its results."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -68,7 +68,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Repeats the run; returns the exit code."""
+    """Replays the run; returns the exit code."""
     require_nodes()
     facts = read_facts(args.bag)
     _check(args, facts)
@@ -81,7 +81,7 @@ def _check(args: argparse.Namespace, facts: RunFacts) -> None:
     """Checks that the bag has inputs or commands, and digests for ``--verify``.
 
     Raises:
-        RecordError: it lacks them.
+        RecordError: the bag does not contain them.
     """
     if args.verify and not facts.has_digests:
         raise RecordError(f"bag {args.bag} has no digests to compare with: record with `gibson-sim run --digests --record ...`")
@@ -95,7 +95,7 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
     """Returns the job.
 
     Raises:
-        GibsonSimError: an option is invalid; nothing was started yet.
+        GibsonSimError: an option is invalid; no process has been started.
     """
     job = Job(folder, summary=Path(args.summary) if args.summary else None)
     lockstep = args.lockstep or (facts.has_journal and not args.free)
@@ -131,7 +131,7 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
         summary_path=str(folder / "replay.json"),
     )
     job.configs["physics"] = config
-    if render:  # the last to end: time waits for it, and would warn
+    if render:  # stopped last, since time waits for it and physics would warn
         drawn = _settings(RenderConfig, facts.settings.get("render", {}), args, _RENDER)
         drawn = {**drawn, "digests": config.digests, "summary_path": str(folder / "render.json")}
         job.configs["render"] = RenderConfig(**drawn)
@@ -150,8 +150,8 @@ def _settings(cls: type[Any], recorded: Mapping[str, Any], args: argparse.Namesp
         raise ConfigError(
             f"the bag has settings that this version does not know: {', '.join(unknown)}; use the version that recorded it"
         )
-    kept = {name: value for name, value in recorded.items() if name not in _OF_THE_RUN}
-    return {**kept, **given(args, names)}
+    settings = {name: value for name, value in recorded.items() if name not in _OF_THE_RUN}
+    return {**settings, **given(args, names)}
 
 
 def _report(found: Mapping[str, Any], code: int) -> int:

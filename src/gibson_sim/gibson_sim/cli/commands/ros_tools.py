@@ -1,6 +1,6 @@
-"""``gibson-sim topic``, ``service``, ``param``, ``action`` and the short verbs: what ``ros2`` does, for machines that do not have it.
+"""``gibson-sim topic``, ``service``, ``param``, ``action`` and short verbs: replacements of ``ros2`` commands for machines without it.
 
-Names, options and outputs are those of ``ros2``, so that what one knows carries over.
+Names, options and outputs are those of ``ros2``.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _add_topic(parser: Any) -> None:
             "--seconds", type=float, default=0.0, metavar="S", help="stop after this much wall time (default: at Ctrl-C)"
         )
         _finish(measure, f"topic {name}")
-    # Its words, options of ros2 among them, are taken as they are, so that the answer is never that one of them is wrong.
+    # Accept any arguments, including options of ros2, so that the hint is always printed.
     pub = kinds.add_parser(
         "pub", help="not available: use `gibson-sim drive` or `gibson-sim goal`", prefix_chars="\0", add_help=False
     )
@@ -60,7 +60,7 @@ def _add_topic(parser: Any) -> None:
 
 
 def _refuse_pub(args: argparse.Namespace) -> int:
-    """Says what there is instead of a publisher of any message."""
+    """Prints the alternatives to publishing arbitrary messages."""
     raise GibsonSimError(
         "there is no `topic pub`: a robot stops when commands stop, so a single one moves it only for a moment; "
         "drive with `gibson-sim drive forward`, or with a file of lines `linear angular seconds`; send goals with `gibson-sim goal X,Y`"
@@ -138,14 +138,14 @@ def _add_verbs(subparsers: Any) -> None:
 
 
 def _finish(parser: argparse.ArgumentParser, command: str) -> None:
-    """Adds the options of the network; the other arguments of ``parser`` are those of the command."""
+    """Adds the network options to the parser of a command."""
     given = [action.dest for action in parser._actions if action.dest != "help"]
     add_network(parser)
     parser.set_defaults(run=lambda args: _become(args, command, given))
 
 
 def _become(args: argparse.Namespace, command: str, given: list[str]) -> int:
-    """Replaces this process by the program."""
+    """Replaces this process by the program of the command."""
     require_nodes()
     words = {"command": command} | {name: getattr(args, name) for name in given}
     become("tools.main", [json.dumps(words)], environment_of(args))

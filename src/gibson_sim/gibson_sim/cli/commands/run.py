@@ -1,4 +1,4 @@
-"""``gibson-sim run``: both nodes, and on request a drive, a recording and a video, as one job."""
+"""``gibson-sim run``: runs both nodes, and on request a drive, a recording and a video, as one job."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
 _OF_ONE_ROBOT = ("clock", "tf", "odom", "ground_truth/odom", "joint_states", STATE_TOPIC)
-"""Topics that every robot has."""
+"""Topics of every robot."""
 _RENDER = tuple(f.name for f in fields(RenderConfig) if f.name not in ("digests", "summary_path"))
 _FIRST = "scene and robots"
 _GROUPS: dict[str, tuple[str, ...]] = {
@@ -64,7 +64,7 @@ _GROUPS: dict[str, tuple[str, ...]] = {
         "digests",
     ),
 }
-"""Settings of both nodes, by what they are about, in the order of the help."""
+"""Settings of both nodes, grouped by subject, in the order of the help."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -91,7 +91,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _add_uses(parser: argparse.ArgumentParser) -> None:
-    """Adds what a run can do besides simulating: a page, a drive, a recording."""
+    """Adds the options of additional functions of a run: a page, a drive, a recording."""
     web = parser.add_argument_group("page")
     web.add_argument(
         "--web",
@@ -149,7 +149,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_ports(args: argparse.Namespace) -> None:
-    """Checks the ports that were asked for, before anything starts.
+    """Checks the requested ports before processes are started.
 
     Raises:
         ConfigError: one cannot be used.
@@ -217,7 +217,7 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
 
 
 def _web_settings(args: argparse.Namespace) -> WebConfig:
-    """Returns the settings of the page: the usual port, or any where that is taken."""
+    """Returns the settings of the page: the default port, or any free port if it is occupied."""
     given = {"host": args.web_host, "port": args.web_port, "token": args.web_token}
     config = WebConfig(**{name: value for name, value in given.items() if value is not None})
     if args.web_port is None and not is_free(config.host, config.port):
@@ -226,7 +226,7 @@ def _web_settings(args: argparse.Namespace) -> WebConfig:
 
 
 def _foxglove_settings(args: argparse.Namespace) -> FoxgloveConfig:
-    """Returns the settings of the Foxglove server: the usual port, or any where that is taken."""
+    """Returns the settings of the Foxglove server: the default port, or any free port if it is occupied."""
     require_foxglove()
     if args.foxglove_port is not None:
         return FoxgloveConfig(port=args.foxglove_port)
@@ -235,7 +235,7 @@ def _foxglove_settings(args: argparse.Namespace) -> FoxgloveConfig:
 
 
 def _drive_settings(args: argparse.Namespace, cmd_vel_type: str, subscribers: int) -> DriveConfig:
-    """Returns the drive's settings: a tour as long as the duration allows, with commands of a type that is received."""
+    """Returns the settings of the drive: a tour as long as the duration allows, with a command type that the robot accepts."""
     given: dict[str, Any] = {"subscribers": subscribers}
     if args.drive == "keyboard":
         raise ConfigError("--drive keyboard needs the terminal: run `gibson-sim drive keyboard` in a second one")

@@ -1,4 +1,4 @@
-"""``gibson-sim scene``: makes, imports, checks and draws scenes. Each sub-command has a module of its own, in this or another package."""
+"""``gibson-sim scene``: creates, imports, checks and draws scenes. Each sub-command has a separate module, in this or another package."""
 
 from __future__ import annotations
 

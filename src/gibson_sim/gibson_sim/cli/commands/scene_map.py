@@ -41,7 +41,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: no other sub-command needs it.
+    # Imported here, since no other sub-command needs it.
     from gibson_sim.maps.traversability import RobotSize
 
     if args.write:
@@ -50,7 +50,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
 
 
 def _robot(args: argparse.Namespace, usual: RobotSize) -> RobotSize:
-    """Returns a robot's size by the options, with ``usual`` as default."""
+    """Returns the robot size in the options, with ``usual`` as default."""
     slope = None if args.slope is None else math.radians(args.slope)
     given = {"radius": args.radius, "height": args.height, "step": args.step, "slope": slope}
     return replace(usual, **{name: value for name, value in given.items() if value is not None})

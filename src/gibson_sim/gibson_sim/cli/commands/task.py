@@ -1,4 +1,4 @@
-"""``gibson-sim task``: runs interactive tasks in a running simulation or in this process, and measures baselines."""
+"""``gibson-sim task``: runs interactive tasks in a running simulation or in this process, and evaluates baselines."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Lists the tasks, runs one in this process, or replaces the process by the task node."""
+    """Lists the tasks, runs a task in this process, or replaces this process by the task node."""
     if args.list:
         return _list()
     if args.task is None:
@@ -74,54 +74,56 @@ def _list() -> int:
 
 
 def _in_process(config: TaskConfig, pictures: Path | None, backend: Backend | None) -> int:
-    """Runs a baseline on the episodes; prints one line for each and one for all, whatever the backend."""
+    """Runs a baseline on the episodes with any backend; prints one line for each episode and one for all."""
     from gibson_sim.tasks.metrics import episode_line, episode_values, summary, summary_line
     from gibson_sim.tasks.registry import check_baseline, task_of
 
     task = task_of(config.task)
     check_baseline(task, config.baseline)
-    found: list[Metrics] = []
+    all_metrics: list[Metrics] = []
 
     def show(metrics: Metrics, picture: Path | None) -> None:
-        print(episode_line(config.seed + len(found), metrics), flush=True)
-        found.append(metrics)
+        print(episode_line(config.seed + len(all_metrics), metrics), flush=True)
+        all_metrics.append(metrics)
         if picture is not None:
             print(f"wrote {picture}", file=sys.stderr)
 
     if backend is None:
-        _run_here(config, pictures, show)
+        _run_locally(config, pictures, show)
     else:
-        _run_over(backend, config, pictures, show)
-    total = summary(found)
+        _run_on_workers(backend, config, pictures, show)
+    total = summary(all_metrics)
     print(summary_line(task.name, config.baseline, total))
     if config.output:
-        episodes = [{"seed": config.seed + k, **episode_values(metrics)} for k, metrics in enumerate(found)]
+        episodes = [{"seed": config.seed + k, **episode_values(metrics)} for k, metrics in enumerate(all_metrics)]
         write_json(
             Path(config.output), {"task": task.name, "baseline": config.baseline, **episode_values(total), "all": episodes}
         )
     return 0
 
 
-def _run_here(config: TaskConfig, pictures: Path | None, show: Callable[[Metrics, Path | None], None]) -> None:
-    """Runs the episodes in this process; ``show`` receives metrics and picture of each."""
+def _run_locally(config: TaskConfig, pictures: Path | None, show: Callable[[Metrics, Path | None], None]) -> None:
+    """Runs the episodes in this process; ``show`` receives metrics and image of each."""
     from gibson_sim.tasks.registry import task_of
     from gibson_sim.tasks.run import TaskRun, run_episode
     from gibson_sim.tasks.units import picture_of
 
-    with TaskRun(task_of(config.task), scene=config.scene, robot=config.robot) as there:
+    with TaskRun(task_of(config.task), scene=config.scene, robot=config.robot) as task_run:
         for seed in range(config.seed, config.seed + config.episodes):
-            metrics = run_episode(there, seed, config.baseline)
+            metrics = run_episode(task_run, seed, config.baseline)
             picture = _picture(pictures, config.task, seed)
             if picture is not None:
-                picture_of(there, picture)
+                picture_of(task_run, picture)
             show(metrics, picture)
 
 
-def _run_over(backend: Backend, config: TaskConfig, pictures: Path | None, show: Callable[[Metrics, Path | None], None]) -> None:
-    """Runs the episodes on workers; ``show`` receives metrics and picture of each, in the order of the seeds.
+def _run_on_workers(
+    backend: Backend, config: TaskConfig, pictures: Path | None, show: Callable[[Metrics, Path | None], None]
+) -> None:
+    """Runs the episodes on workers; ``show`` receives metrics and image of each, in the order of the seeds.
 
     Raises:
-        GibsonSimError: an episode failed; no other one begins then.
+        GibsonSimError: an episode failed; no further episodes are started.
     """
     from gibson_sim.jobs.units import Unit, UnitResult, run_units
     from gibson_sim.tasks.metrics import Metrics
@@ -161,5 +163,5 @@ def _run_over(backend: Backend, config: TaskConfig, pictures: Path | None, show:
 
 
 def _picture(folder: Path | None, task: str, seed: int) -> Path | None:
-    """Returns the file of an episode's picture; None = there are none."""
+    """Returns the image file of an episode; None = images are not requested."""
     return None if folder is None else folder / f"{task}_{seed}.png"

@@ -10,7 +10,7 @@ from gibson_sim.cli.environment import add_network, domain_of, environment_of, r
 from gibson_sim.cli.processes import become
 
 PATIENCE_S, PERIOD_S = 5.0, 1.0
-"""Time to wait for a simulation, and between two updates, seconds."""
+"""Timeout for a simulation, and interval between two updates, seconds."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -31,7 +31,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replaces this process by the node, which thus owns the terminal, the signals and the exit code."""
+    """Replaces this process by the node, so that it owns the terminal, the signals and the exit code."""
     require_nodes()
     environment = environment_of(args)
     domain_of(environment)

@@ -1,4 +1,4 @@
-"""``gibson-sim trial``: runs a robot's stack many times in simulation, judges each run, and compares trials."""
+"""``gibson-sim trial``: runs a robot's stack many times in simulation, evaluates each run, and compares trials."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _OUTPUT = Path("out") / "trials"
 _MOST_LISTED = 12
-"""Numbers of runs in a line."""
+"""Maximum number of run numbers in a line."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -68,7 +68,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Makes, plans or compares trials."""
+    """Runs, plans or compares trials."""
     if args.schema:
         from gibson_sim.trials.scenario.json_schema import schema_text
 
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     if args.scenario is None:
         return _compare_two(args)
-    # Loaded here: a comparison of two files needs none of it.
+    # Imported here, since a comparison of two files does not need it.
     from gibson_sim.trials.report.words import plan_table
     from gibson_sim.trials.running import Overrides, check, check_output_folder, claimed
     from gibson_sim.trials.scenario.load import ScenarioError, load_scenario
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         scenario = changes.applied(load_scenario(args.scenario))
         folder: Path = args.output or _OUTPUT / f"{scenario.name}_{datetime.now():%Y%m%d-%H%M%S}"
         if not args.plan:
-            # Before the runs are planned, which may take minutes.
+            # Check before the runs are planned, which may take minutes.
             if not args.ray:
                 require_nodes()
             check_output_folder(folder, resume=args.resume)
@@ -103,11 +103,11 @@ def run(args: argparse.Namespace) -> int:
         print(plan_table(runs))
         return ExitCode.OK
     with claimed(folder, resume=args.resume):
-        return _Trial(args, scenario, changes, plan, runs, before, folder).made(backend)
+        return _Trial(args, scenario, changes, plan, runs, before, folder).execute(backend)
 
 
 def _plan(scenario: Scenario, numbers: Sequence[int]) -> Sequence[RunSpec]:
-    """Returns the planned runs; tells how far it is where that takes long."""
+    """Returns the planned runs; reports progress if planning takes long."""
     from gibson_sim.cli.trial_progress import PlanProgress
     from gibson_sim.trials.planning.plan import plan_runs
 
@@ -119,7 +119,7 @@ def _plan(scenario: Scenario, numbers: Sequence[int]) -> Sequence[RunSpec]:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Checks which options go together.
+    """Checks the combination of options.
 
     Raises:
         ConfigError: they do not.
@@ -155,18 +155,18 @@ def _compare_two(args: argparse.Namespace) -> int:
     return ExitCode.ERROR if args.fail_if_worse and found.is_decline else ExitCode.OK
 
 
-def _print_comparison(found: Comparison) -> None:
-    for name, pairs in (("worse", found.worse), ("better", found.better)):
+def _print_comparison(comparison: Comparison) -> None:
+    for name, pairs in (("worse", comparison.worse), ("better", comparison.better)):
         for pair in pairs:
             from gibson_sim.trials.report.words import run_line
 
             print(f"got {name:6} {run_line(pair.after)}")
-    for line in found.lines():
+    for line in comparison.lines():
         print(line)
 
 
 class _Trial:
-    """One trial, from the plan to its report."""
+    """A trial, from the plan to its report."""
 
     def __init__(
         self,
@@ -183,8 +183,8 @@ class _Trial:
         self._results: dict[int, RunResult] = {}
         self._comparison: Comparison | None = None
 
-    def made(self, backend: Backend) -> int:
-        """Makes the runs, writes the report, and returns the exit code. ``backend``: where the runs are made."""
+    def execute(self, backend: Backend) -> int:
+        """Executes the runs with a backend, writes the report, and returns the exit code."""
         from gibson_sim.cli.trial_progress import TrialProgress
         from gibson_sim.trials.comparing.comparison import runs_text
         from gibson_sim.trials.report.results import RESULTS
@@ -220,7 +220,7 @@ class _Trial:
         return ExitCode.ERROR if trial.failed or not trial.is_complete or declined else ExitCode.OK
 
     def _write(self, started: datetime, wall_time: float) -> TrialResults:
-        """Writes all files of the report; returns what they say."""
+        """Writes all files of the report; returns their results."""
         from gibson_sim.trials.comparing.comparison import compare
         from gibson_sim.trials.report.junit import FILE as JUNIT, junit_xml
         from gibson_sim.trials.report.page import FILE as PAGE, trial_page
@@ -279,14 +279,14 @@ class _Trial:
 
 
 def _backend(args: argparse.Namespace) -> Backend:
-    """Returns where the runs are made: in one worker if nothing is said."""
+    """Returns the backend that executes the runs: one worker by default."""
     backend = backend_of(args, "runs", default=1)
     assert backend is not None
     return backend
 
 
 def _processor() -> str:
-    """Returns the number and the kind of the processors of this machine."""
+    """Returns the number and the model of the processors of this machine."""
     try:
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
     except OSError:

@@ -108,7 +108,7 @@ def _cameras(entries: list[YamlMap], where: str, find_link: Callable[[str], str]
     cameras = tuple(read_camera(entry, find_link) for entry in entries)
     names = [camera.name for camera in cameras]
     if len(set(names)) != len(names):
-        raise RobotError(f"{where}: cameras are named {', '.join(names)}; names must differ")
+        raise RobotError(f"{where}: cameras are named {', '.join(names)}; names must be unique")
     return cameras
 
 
