@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 def test_a_sheet_has_views_a_cut_from_above_and_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     width, height = 160, 120
-    for name, value in (("WIDTH", width), ("HEIGHT", height), ("_PLACES", 3)):
+    for name, value in (("WIDTH", width), ("HEIGHT", height), ("_CANDIDATES", 3)):
         monkeypatch.setattr(module, name, value)
     # A red roof, which the top view must not show.
     roof = "  - {name: roof, box: [4.0, 4.0, 0.1], pose: {xyz: [0, 0, 2.5]}, color: [1.0, 0.0, 0.0]}\n"
@@ -57,7 +57,7 @@ def test_places_of_views_are_free_and_far_apart(tmp_path: Path) -> None:
 
 def test_several_scenes_have_a_row_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for name, value in (("WIDTH", 160), ("HEIGHT", 120), ("_PLACES", 3)):
+    for name, value in (("WIDTH", 160), ("HEIGHT", 120), ("_CANDIDATES", 3)):
         monkeypatch.setattr(module, name, value)
     picture = gallery_of_scenes([load_scene(write_room(tmp_path / name)) for name in ("a", "b")], 2)
     assert picture.shape[:2] == (2 * (120 + 28) + 6, 2 * (160 + 6) + 6)

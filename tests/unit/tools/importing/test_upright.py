@@ -192,7 +192,7 @@ def test_a_scene_whose_up_is_not_clear_is_turned_by_hand(tmp_path: Path, capsys:
     assert _run("check", tmp_path / "box.obj", "--fix", "--output", tmp_path / "a") == 1
     out = capsys.readouterr().out
     assert "up-unclear: which way is up is not clear: it may be " in out and "--fix --up=" in out
-    assert "the up direction is not clear, so the scene is not rotated: " in out and "mended: " not in out
+    assert "the up direction is not clear, so the scene is not rotated: " in out and "repaired: " not in out
     up = ",".join(f"{c:.3f}" for c in rotation[:, 2])
     assert _run("check", tmp_path / "box.obj", "--fix", "--up", up, "--output", tmp_path / "b") == 0
     facts = check_path(tmp_path / "b").facts
