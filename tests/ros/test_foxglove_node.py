@@ -199,7 +199,7 @@ def test_what_is_no_message_reaches_no_node_and_ends_nothing(server: Launched, l
         wanted = (
             "bytes are not a geometry_msgs/msg/Twist",
             "type 'no_such_msgs/msg/Thing' is not installed",
-            "no JSON",
+            "is not JSON",
             "this field does not exist",
         )
         await client.until(lambda: all(any(w in text for text in client.warnings) for w in wanted), "warnings")
@@ -232,7 +232,7 @@ def test_services_are_called_and_failures_are_told(server: Launched) -> None:
             get_typestore(Stores.EMPTY).register(get_types_from_msg(types[part]["schema"], "a/msg/B"))
         assert await client.call("/get_simulation_state", b"\0\1") is None or client.failures == []
         assert await client.call("/spawn_entity", b"\0\1\0\0\xff\xff\xff\xff") is None
-        assert "are no request of simulation_interfaces/srv/SpawnEntity" in client.failures[-1]
+        assert "are not a request of simulation_interfaces/srv/SpawnEntity" in client.failures[-1]
         assert not [name for name in client.services if name.endswith("/get_parameters")]
 
     _talk(server, talk)

@@ -10,6 +10,8 @@ from typing import Any
 
 import aiohttp
 
+from support.simulation import what_runs
+
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 _MESSAGE, _TIME, _RESPONSE = 1, 2, 3
 """First bytes of the server's binary messages."""
@@ -51,7 +53,7 @@ class FoxgloveClient:
         loop = asyncio.get_running_loop()
         end, next_s = loop.time() + 120.0, 0.0
         while not condition():
-            assert loop.time() < end, f"still no {what}"
+            assert loop.time() < end, f"still no {what}{what_runs()}"
             if send is not None and loop.time() >= next_s:
                 next_s = loop.time() + 0.1
                 await send()

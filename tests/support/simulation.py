@@ -98,7 +98,7 @@ def _nodes(pid: int) -> dict[str, int]:
     return found
 
 
-def _what_runs() -> str:
+def what_runs() -> str:
     """Returns which processes are deaf, and of each running ``gibson-sim`` what it said last and where its nodes are now."""
     found = [_replaced_ports(os.getpid(), "this process")]
     for launched in list(_launched):
@@ -126,7 +126,7 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
     """Returns as soon as ``condition`` holds; fails after a patience that no healthy machine needs."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
-        assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s{_what_runs()}"
+        assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s{what_runs()}"
         time.sleep(0.02)
 
 
@@ -160,7 +160,7 @@ class Listener:
         """Works until ``condition`` holds."""
         deadline = time.monotonic() + PATIENCE_S
         while not condition():
-            assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s{_what_runs()}"
+            assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s{what_runs()}"
             self._executor.spin_once(timeout_sec=0.05)
 
     def close(self) -> None:

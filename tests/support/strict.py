@@ -1,4 +1,4 @@
-"""What a strict run of the tests (``make check``) refuses: skips of tests that this machine can run, and second attempts without a reason.
+"""What a strict run of the tests (``make check``) refuses: skips of tests that this machine can run, and too many second attempts.
 
 ``make setup`` brings ROS, EGL's software renderer, Numba, Gymnasium and the rest, so a test that finds one of them missing has found a fault.
 """
@@ -14,6 +14,9 @@ VARIABLE = "GIBSON_SIM_STRICT"
 """Set: the run is strict."""
 FAILURES_VARIABLE = "GIBSON_SIM_TEST_FAILURES"
 """Names a file to which each run appends its failures, one line each: ``make test`` makes two runs and shows them all at its end."""
+ALLOWED_SECOND_ATTEMPTS = 3
+"""Of the 620 tests with nodes, so many may need a second attempt in one run, since a machine that stalls makes nodes deaf (docs/ros_interfaces.md,
+known limits). The first failures are printed all the same; a test that fails again and again fails its second attempt, too."""
 FLAKY_LIST = Path(__file__).resolve().parents[1] / "flaky.txt"
 MAY_BE_MISSING = {
     "graphics card": r"\bGPU\b|CUDA|graphics card|nvidia|UUIDs of their own",
@@ -50,11 +53,14 @@ def faults(stats: dict[str, list[Any]]) -> list[str]:
         if refused_skip(reason):
             found.append(f"{report.nodeid} was skipped although this machine can run it: {reason}")
     flaky = known_flaky()
-    found += [
-        f"{report.nodeid} needed a second attempt: mend it, or add it to tests/flaky.txt with the reason"
-        for report in stats.get("rerun", ())
-        if not any(fnmatchcase(report.nodeid, pattern) for pattern in flaky)
+    again = [
+        report.nodeid for report in stats.get("rerun", ()) if not any(fnmatchcase(report.nodeid, pattern) for pattern in flaky)
     ]
+    if len(again) > ALLOWED_SECOND_ATTEMPTS:
+        found += [
+            f"{test} needed a second attempt, as {len(again)} tests did, at most {ALLOWED_SECOND_ATTEMPTS} may: mend it"
+            for test in again
+        ]
     return found
 
 
