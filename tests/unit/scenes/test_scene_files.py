@@ -14,7 +14,7 @@ from gibson_sim.errors import SceneError
 from gibson_sim.maps.free_poses import FreePose, read_free_poses, scene_free_poses, write_free_poses
 from gibson_sim.maps.scene_files import POSES, SPARE, USUAL_ROBOT, write_scene_files
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.importing.carried import clearances, free_distances, missing, out_of_date
+from gibson_sim_tools.importing.scene_files import clearances, free_distances, missing_items, outdated_items
 from support.scenes import write_room
 
 SCENES = sorted(path.parent for path in (Path(__file__).resolve().parents[3] / "scenes").glob("*/scene.yaml"))
@@ -48,7 +48,7 @@ def test_maps_and_poses_are_written_into_the_folder_and_fit_the_scene(furnished:
     assert len(poses) == POSES
     assert free_distances(scene, poses, USUAL_ROBOT.height).min() >= USUAL_ROBOT.radius + SPARE - 0.001
     assert {pose.room for pose in poses} == {"west", "east"}
-    assert list(out_of_date(scene, USUAL_ROBOT.radius, USUAL_ROBOT.height)) == []
+    assert list(outdated_items(scene, USUAL_ROBOT.radius, USUAL_ROBOT.height)) == []
     # No pose is in the wardrobe, whose bottom is level and at the height of the floor, nor in the crate.
     picture = cv2.imread(str(furnished / "floor_trav_0.png"), cv2.IMREAD_UNCHANGED)
     assert picture is not None
@@ -85,7 +85,7 @@ def test_no_pose_lies_on_or_beside_a_bump_that_a_robot_drives_up(tmp_path: Path)
     # On the map the top is free.
     picture = cv2.imread(str(folder / "floor_trav_0.png"), cv2.IMREAD_UNCHANGED)
     assert picture is not None and picture[picture.shape[0] // 2, picture.shape[1] // 2] == 255
-    assert list(out_of_date(scene, USUAL_ROBOT.radius, USUAL_ROBOT.height)) == []
+    assert list(outdated_items(scene, USUAL_ROBOT.radius, USUAL_ROBOT.height)) == []
     assert {pose.z for pose in scene_free_poses(scene)} == {0.0}
 
 
@@ -103,7 +103,7 @@ def test_files_that_no_longer_fit_are_told(furnished: Path) -> None:
         .replace("name: east", "name: den")
         .replace("ground_z: 0.0", "ground_z: 0.0\nfloor_z: 0.02")
     )
-    told = "\n".join(out_of_date(load_scene(furnished), 0.2, 0.5))
+    told = "\n".join(outdated_items(load_scene(furnished), 0.2, 0.5))
     assert "has floors at 0 m, the scene at 0.02 m" in told
     assert re.search(r"\d+ of 100 poses lie in another room", told)
     assert re.search(r"\d+ of 100 poses are not free", told)
@@ -164,8 +164,8 @@ def test_clearances_are_exact() -> None:
 @pytest.mark.parametrize("folder", SCENES, ids=lambda folder: folder.name)
 def test_a_shipped_scene_carries_everything_and_all_of_it_fits(folder: Path) -> None:
     scene = load_scene(folder)
-    assert missing(scene) == []
-    assert list(out_of_date(scene, USUAL_ROBOT.radius, USUAL_ROBOT.height)) == []
+    assert missing_items(scene) == []
+    assert list(outdated_items(scene, USUAL_ROBOT.radius, USUAL_ROBOT.height)) == []
     poses = scene_free_poses(scene)
     assert len(poses) == POSES * len(scene.floors)
     assert all(pose.room for pose in poses)

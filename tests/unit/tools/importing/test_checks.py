@@ -271,7 +271,7 @@ def test_a_copy_that_is_mended_needs_a_folder(tmp_path: Path, capsys: pytest.Cap
 def test_inspect_prints_sizes_and_floors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _run("inspect", _scene(tmp_path / "a", *room())) == 0
     text = capsys.readouterr().out
-    assert "6.00 x 4.00 x 2.50 m" in text and "24 to draw" in text and "floors  0.00 m" in text
+    assert "6.00 x 4.00 x 2.50 m" in text and "24 visual" in text and "floors  0.00 m" in text
 
 
 @pytest.mark.parametrize("name", ["playcanvas_vr_gallery"])

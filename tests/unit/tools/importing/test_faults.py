@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gibson_sim_tools.importing.carried import clearances
 from gibson_sim_tools.importing.checks.faults import find_faults, weld
+from gibson_sim_tools.importing.scene_files import clearances
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -19,7 +19,6 @@ from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, FloorMap, scene_floor_map
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim_tools.importing.carried import is_begun, missing, out_of_date
 from gibson_sim_tools.importing.checks.facts import (
     DrawnGeometry,
     SceneFacts,
@@ -35,6 +34,7 @@ from gibson_sim_tools.importing.checks.splats import MAX_SPLAT_DISTANCE, splat_d
 from gibson_sim_tools.importing.document import ASSETS
 from gibson_sim_tools.importing.left_out import read_left_out
 from gibson_sim_tools.importing.scans import MIN_SCAN_SHARE, MIN_SCAN_TRIANGLES
+from gibson_sim_tools.importing.scene_files import is_partly_finished, missing_items, outdated_items
 from gibson_sim_tools.view_holes import ROBOT_HEIGHT, ROBOT_RADIUS, ViewHoles, view_holes
 
 Level = Literal["error", "warning", "note"]
@@ -382,9 +382,9 @@ def left_out(scene: SceneSpec, geometry: DrawnGeometry) -> list[str]:
 
 
 def _scene_files(scene: SceneSpec) -> Iterator[SceneFinding]:
-    for text in out_of_date(scene, ROBOT_RADIUS, ROBOT_HEIGHT):
+    for text in outdated_items(scene, ROBOT_RADIUS, ROBOT_HEIGHT):
         yield SceneFinding("out-of-date", "warning", text, "gibson-sim scene map SCENE --write updates it")
-    lacking = missing(scene)
-    if lacking and is_begun(scene):
+    lacking = missing_items(scene)
+    if lacking and is_partly_finished(scene):
         remedy = "`gibson-sim scene map SCENE --write` writes maps and free poses; docs/scenes.md describes rooms"
         yield SceneFinding("unfinished", "note", f"a finished scene also has {', '.join(lacking)}", remedy)

@@ -59,7 +59,7 @@ _TOLERANCE = 0.001
 """Tolerance for the rounded heights and positions in the files, metres."""
 
 
-def missing(scene: SceneSpec) -> list[str]:
+def missing_items(scene: SceneSpec) -> list[str]:
     """Returns what a scene lacks, one text for each item; empty for a scene without a scene.yaml."""
     if not (scene.root / DESCRIPTION).is_file():
         return []
@@ -67,12 +67,12 @@ def missing(scene: SceneSpec) -> list[str]:
     return [*([] if scene.rooms else [f"rooms in {DESCRIPTION}"]), *(name for name in files if not (scene.root / name).is_file())]
 
 
-def is_begun(scene: SceneSpec) -> bool:
+def is_partly_finished(scene: SceneSpec) -> bool:
     """Returns whether a scene has rooms, free poses or a thumbnail; a scene without them does not need the other files."""
     return bool(scene.rooms) or any((scene.root / name).is_file() for name in (FREE_POSES, THUMBNAIL))
 
 
-def out_of_date(scene: SceneSpec, radius: float, height: float) -> Iterator[str]:
+def outdated_items(scene: SceneSpec, radius: float, height: float) -> Iterator[str]:
     """Yields one text for each contradiction between a scene and its maps and free poses.
 
     Args:
