@@ -87,7 +87,7 @@ def test_takes_hold_within_the_threshold_alone(make_world: MakeWorld, distance: 
         assert (state.holding, state.body) == (holds, "cup" if holds else "")
         assert constraints(world) == int(holds)
         if not holds:
-            assert state.reason == "nothing that moves is within 0.2 m of tool; cup/body is at 0.201 m"
+            assert state.reason == "no movable link is within 0.2 m of tool; cup/body is at 0.201 m"
 
 
 def test_threshold_is_a_setting(make_world: MakeWorld) -> None:
@@ -110,7 +110,7 @@ def test_handle_is_preferred_to_what_is_nearer_and_what_cannot_move_is_never_tak
         world.remove("cup")
         state = world.arms.grasp("robot")
         assert not state.holding
-        assert state.reason == "nothing that moves is within 0.2 m of tool"
+        assert state.reason == "no movable link is within 0.2 m of tool"
 
 
 def test_target_names_the_one_thing_that_may_be_taken(make_world: MakeWorld) -> None:
@@ -196,7 +196,7 @@ def test_sticky_gripper_holds_what_it_touches_alone(make_world: MakeWorld) -> No
     with make_world(cube("cup", ahead(0.03, 0.06), size=0.06), mode="sticky") as world:
         assert not world.arms.grasp("robot").holding
         world.step(300)
-        assert world.arms.grasp_state("robot").reason == "the fingers closed and touched nothing that moves"
+        assert world.arms.grasp_state("robot").reason == "the fingers closed without touching a movable link"
         world.set_state("cup", Pose((TOOL[0], 0.0, TOOL[2])))
         world.command_joints("robot", JointPositions((0.0, 0.0), FINGERS))
         world.step(120)
@@ -239,7 +239,7 @@ def test_nothing_stays_after_deletion_and_reset(make_world: MakeWorld) -> None:
         world.remove("cup")
         world.step()
         state = world.arms.grasp_state("robot")
-        assert (state.holding, state.reason) == (False, "what it held was taken away")
+        assert (state.holding, state.reason) == (False, "the held object was removed")
         assert world.arms.grasp("robot").body == "jar"
         world.reset()
         assert (world.arms.grasp_state("robot").holding, world.arms.grasp_state("robot").reason) == (False, "")
@@ -282,7 +282,7 @@ def test_robot_without_an_arm_or_a_gripper_says_so(make_world: MakeWorld, robot:
     with make_world(robots=(replace(bare, start=Pose((0.0, -3.0, 0.0))), armless)) as world:
         with pytest.raises(CommandError, match="robot 'bare' has no manipulator"):
             world.arms.grasp("bare")
-        with pytest.raises(CommandError, match=r"arm 'arm' of robot 'stump' has no gripper; give it one in its robot\.yaml"):
+        with pytest.raises(CommandError, match=r"arm 'arm' of robot 'stump' has no gripper; add one to its robot\.yaml"):
             world.arms.move_gripper("stump", 1.0)
         with pytest.raises(CommandError, match="has no manipulator 'leg'; known: arm"):
             world.arms.tool_pose("stump", "leg")

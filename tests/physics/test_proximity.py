@@ -97,7 +97,7 @@ def test_neighbours_are_seen_where_a_body_was_just_put_without_a_step() -> None:
 
 def test_neighbours_of_what_is_not_there_are_refused() -> None:
     with world_of(body("finger", (0.0, 0.0, 0.0), FINGER)) as world:
-        with pytest.raises(PhysicsError, match="nothing in this world is called 'thumb'"):
+        with pytest.raises(PhysicsError, match="no robot or body 'thumb' in this world"):
             world.neighbours("thumb", "body", 0.2)
         with pytest.raises(PhysicsError, match="'finger' has no link 'nail'; known: body"):
             world.neighbours("finger", "nail", 0.2)

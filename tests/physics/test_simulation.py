@@ -142,8 +142,8 @@ def test_a_scene_that_was_loaded_and_a_robot_that_was_loaded_can_be_given() -> N
         (lambda sim: sim.reading("imu"), "sensor 'imu' of robot 'robot' has not measured yet: step first"),
         (lambda sim: sim.spawn("botle", "b"), "neither a file nor a built-in model"),
         (lambda sim: sim.spawn("ball", "robot"), "the name 'robot' is taken"),
-        (lambda sim: sim.move("ghost", (0.0, 0.0, 0.0)), "nothing in this world is called 'ghost'"),
-        (lambda sim: sim.remove("ghost"), "nothing in this world is called 'ghost'"),
+        (lambda sim: sim.move("ghost", (0.0, 0.0, 0.0)), "no robot or body 'ghost' in this world"),
+        (lambda sim: sim.remove("ghost"), "no robot or body 'ghost' in this world"),
     ],
 )
 def test_what_is_impossible_is_said_in_one_line_and_changes_nothing(call: object, error: str) -> None:

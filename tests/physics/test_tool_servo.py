@@ -78,7 +78,7 @@ def test_frame_is_that_of_the_tool_or_of_any_link(world: PhysicsWorld) -> None:
     # The frame of the shoulder turns with the first joint, which is still at 0.
     servo(world, 0.5, ToolTwist((0.0, 0.1, 0.0), STILL, "turn_link"))
     assert np.array(world.arms.tool_pose("robot").position)[1] - middle[1] == pytest.approx(0.05, abs=5e-3)
-    with pytest.raises(CommandError, match=r"frame 'map' is no link of robot 'robot'; use its base, 'base', its tool, 'tool'"):
+    with pytest.raises(CommandError, match=r"frame 'map' is not a link of robot 'robot'; use its base, 'base', its tool, 'tool'"):
         world.arms.servo("robot", ToolTwist(STILL, STILL, "map"))
 
 

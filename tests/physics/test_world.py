@@ -17,7 +17,7 @@ from gibson_sim.description.shapes import Shape
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import CommandError, ConfigError, PhysicsError
 from gibson_sim.geometry.transforms import matrices_from_poses, matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim.physics.world import PhysicsWorld, sound_triangles
+from gibson_sim.physics.world import PhysicsWorld, non_degenerate_triangles
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
@@ -230,7 +230,7 @@ def test_broken_collision_mesh_is_left_out_with_a_warning(make_scene: MakeScene,
 
 def test_triangles_without_area_are_dropped() -> None:
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [np.nan, 0, 0]])
-    got = sound_triangles(vertices, [[0, 1, 2], [0, 1, 1], [0, 1, 3], [0, 1, 4]])
+    got = non_degenerate_triangles(vertices, [[0, 1, 2], [0, 1, 1], [0, 1, 3], [0, 1, 4]])
     assert got.tolist() == [[0, 1, 2]]
 
 

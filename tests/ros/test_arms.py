@@ -148,13 +148,13 @@ def test_commands_on_topics_are_applied_and_noted_so_that_a_run_can_be_repeated(
     rig.run_until(listener, lambda: all(answer.done() for answer in answers), "answers")
     assert [(answer.result().success, answer.result().message) for answer in answers] == [
         (True, "holds cup/body"),
-        (True, "let go: it was told to"),
+        (True, "let go: on command"),
     ]
     rig.run_until(listener, lambda: not states[-1].holding, "state")
     rig.world.remove("cup")
     answer = service.call_async(SetBool.Request(data=True))
     rig.run_until(listener, answer.done, "answer")
-    assert (answer.result().success, answer.result().message) == (False, "nothing that moves is within 0.2 m of tool")
+    assert (answer.result().success, answer.result().message) == (False, "no movable link is within 0.2 m of tool")
     assert counts[-1].count == 0
     removed = rig.inputs.pop()[0]
     with PhysicsWorld(rig.scene) as again:

@@ -1,14 +1,14 @@
 """The arms of all robots in a world: grippers, tools, Cartesian servos, and the collisions of their robots.
 
-    world.arms.grasp(robot, arm)             grasps what is in reach, by the rules of ``robots.joints.grasping``: returns a GraspState
+    world.arms.grasp(robot, arm)             grasps the object in reach, by the rules of ``robots.joints.grasping``: returns a GraspState
     world.arms.release(robot, arm)           releases it
-    world.arms.grasp_state(robot, arm)       what the gripper holds, and the force
+    world.arms.grasp_state(robot, arm)       the held object, and the force
     world.arms.move_gripper(robot, opening)  0 = closed, 1 = open; closing grasps and opening releases, as with any command to its joints
     world.arms.tool_pose(robot, arm)         T_world_tool
-    world.arms.solve_arm(robot, target)      joints of the arm that bring the tool to T_world_tool: a ChainSolution
-    world.arms.servo(robot, ToolTwist(...))  moves the tool at a velocity until the time-out of ``ServoSettings``
+    world.arms.solve_arm(robot, target)      joint positions of the arm for a tool pose T_world_tool: a ChainSolution
+    world.arms.servo(robot, ToolTwist(...))  moves the tool at a velocity until the timeout of ``ServoSettings``
 
-``arm`` is a name from the robot's file; empty or left out, it is the robot's first. The topics of ``docs/manipulation.md`` do the same.
+``arm`` is a name from the robot's file; if empty or omitted, it is the robot's first arm. The topics of ``docs/manipulation.md`` do the same.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ class _RobotArms:
 
     robot: RobotInWorld
     graspers: dict[str, Grasper]
-    """By the names of the arms; those without a gripper are missing."""
+    """Graspers by arm name; arms without a gripper are missing."""
     servos: dict[str, ToolServo]
-    """By the names of the arms."""
+    """Servos by arm name."""
     hands: frozenset[int]
-    """Engine numbers of the links whose contacts are no collisions."""
+    """Engine indices of the links whose contacts do not count as collisions."""
     base_height: float
     """Height of the base frame above the inertial frame of the root link, metres, with the robot upright."""
     counter: CollisionCounter | None
-    """None = the collisions of this robot are not counted."""
+    """Counter of the robot's collisions; None = collisions are not counted."""
 
 
 class ArmsInWorld:
-    """Arms of the robots that are in the world now."""
+    """Arms of the robots currently in the world."""
 
     def __init__(
         self,
@@ -68,13 +68,13 @@ class ArmsInWorld:
         grasping: GraspSettings,
         servo: ServoSettings,
     ) -> None:
-        """Reads the robots from a mapping that the world owns: robots may come and go.
+        """Uses a mapping of robots owned by the world; robots may be added and removed.
 
         Args:
             bullet: The engine.
-            robots: The robots by name; the mapping may change.
+            robots: Robots by name; the mapping may change.
             bodies: Returns all robots and bodies.
-            attachments: The joints between grippers and what they hold.
+            attachments: Joints between grippers and held objects.
             state_of: Returns the poses of at least the links of one robot, by its name.
             now_ns: Returns the simulation time.
             grasping: Settings of all grippers.
@@ -85,15 +85,15 @@ class ArmsInWorld:
         self._grasping, self._servo = grasping, servo
         self._reach = Reach(bullet)
         self._by_robot: dict[str, _RobotArms] = {}
-        """Filled when the arms of a robot are first used."""
+        """Arms by robot name, created at first use."""
         self._counted: set[str] = set()
-        """Robots whose collisions are counted, which costs a few percent of a step."""
+        """Robots whose collisions are counted, which takes a few percent of a step."""
 
     def grasp(self, robot: str, arm: str = "", *, target: str = "") -> GraspState:
-        """Grasps what is in reach, at once; nothing changes if the gripper holds something already.
+        """Grasps the object in reach, immediately; has no effect if the gripper already holds an object.
 
-        assisted: the nearest handle or knob that can move, else the nearest link that can move, within the set distance of the tool.
-        sticky: what the hand touches, now or within a second. physical: nothing; the fingers hold by friction.
+        assisted: the nearest movable handle or knob, else the nearest movable link, within the configured distance of the tool.
+        sticky: the object that the hand touches, now or within a second. physical: nothing; the fingers hold by friction.
 
         Args:
             robot: Name of the robot.
@@ -101,23 +101,23 @@ class ArmsInWorld:
             target: The only robot or body that may be grasped; empty = any.
 
         Returns:
-            What the gripper holds now; ``reason`` says why if that is nothing.
+            The state of the grasp; if nothing is held, ``reason`` explains it.
 
         Raises:
-            CommandError: there is no such robot, arm, gripper or target.
+            CommandError: the robot, arm, gripper or target does not exist.
         """
         grasper = self._grasper(robot, arm)
         grasper.grasp(self._now_ns(), target)
         return grasper.state()
 
     def release(self, robot: str, arm: str = "") -> GraspState:
-        """Releases what a gripper holds, if anything; CommandError if there is no such robot, arm or gripper."""
+        """Releases the held object, if any; raises CommandError if the robot, arm or gripper does not exist."""
         grasper = self._grasper(robot, arm)
         grasper.release()
         return grasper.state()
 
     def grasp_state(self, robot: str, arm: str = "") -> GraspState:
-        """Returns what a gripper holds; CommandError if there is no such robot, arm or gripper."""
+        """Returns the state of a grasp; raises CommandError if the robot, arm or gripper does not exist."""
         return self._grasper(robot, arm).state()
 
     def move_gripper(self, robot: str, opening: float, arm: str = "", *, max_effort: float = 0.0) -> None:
@@ -127,10 +127,10 @@ class ArmsInWorld:
             robot: Name of the robot.
             opening: 0 = closed, 1 = open.
             arm: Name of the arm.
-            max_effort: Limit for each finger, N or N m; 0 = that of the robot's file.
+            max_effort: Limit for each finger, N or N m; 0 = the limit in the robot's file.
 
         Raises:
-            CommandError: there is no such robot, arm or gripper, or a number is out of its range.
+            CommandError: the robot, arm or gripper does not exist, or a number is out of range.
         """
         gripper = _gripper(robot, self._spec(robot, arm))
         if not 0.0 <= opening <= 1.0:
@@ -140,24 +140,24 @@ class ArmsInWorld:
         self.command_joints(robot, JointPositions((position,) * len(gripper.joints), gripper.joints, efforts))
 
     def tool_pose(self, robot: str, arm: str = "") -> Pose:
-        """Returns T_world_tool; CommandError if there is no such robot or arm."""
+        """Returns T_world_tool; raises CommandError if the robot or arm does not exist."""
         tip = self._spec(robot, arm).tip_link
         return link_pose(self._state_of(robot), f"{robot}/{tip}")
 
     def solve_arm(self, robot: str, target: Pose, arm: str = "", *, orientation: bool = True) -> ChainSolution:
-        """Returns the joints of an arm that bring its tool to ``target`` (T_world_tool), the robot standing where it is; nothing moves.
+        """Solves the inverse kinematics of an arm for a tool pose ``target`` (T_world_tool) at the robot's current pose; nothing moves.
 
-        ``JointPositions(solution.positions, solution.names)`` moves the arm there. Joints that the target leaves free go towards the pose
-        in which the robot starts. Check ``solution.within(...)``: a target out of reach has a solution, too, but one with an error.
+        ``JointPositions(solution.positions, solution.names)`` moves the arm to the solution. Redundant joints approach the pose in which
+        the robot starts. Check ``solution.within(...)``: the solution for an unreachable target has an error.
 
         Args:
             robot: Name of the robot.
-            target: Pose that the tool is to reach.
+            target: Target pose of the tool.
             arm: Name of the arm.
             orientation: Whether the orientation of the target counts.
 
         Raises:
-            CommandError: there is no such robot or arm.
+            CommandError: the robot or arm does not exist.
         """
         spec, start = self._spec(robot, arm), dict(self._robots[robot].spec.joints)
         rest = {name: start.get(name, 0.0) for name in spec.joints}
@@ -166,17 +166,17 @@ class ArmsInWorld:
         )
 
     def servo(self, robot: str, twist: ToolTwist, arm: str = "") -> None:
-        """Moves a tool at a velocity relative to the robot's base, from the next step on, until the time-out of ``ServoSettings``.
+        """Moves a tool at a velocity relative to the robot's base, from the next step on, until the timeout of ``ServoSettings``.
 
         Raises:
-            CommandError: there is no such robot, arm or frame.
+            CommandError: the robot, arm or frame does not exist.
         """
         self._arms_of(robot).servos[self._spec(robot, arm).name].command(twist, self._now_ns())
 
     def command_joints(self, robot: str, command: JointCommand) -> None:
         """Moves joints of a robot from the next step on; see ``PhysicsWorld.command_joints``.
 
-        A command that closes a gripper grasps, one that opens it releases, and one that names joints of an arm stops its servo.
+        A command that closes a gripper also grasps, one that opens it also releases, and one that names joints of an arm stops its servo.
         """
         arms, now_ns = self._arms_of(robot), self._now_ns()
         arms.robot.command_joints(self._bullet, command, now_ns)
@@ -196,7 +196,7 @@ class ArmsInWorld:
                 arms.graspers[arm.name].release("let go: the gripper opened")
 
     def collision_count(self, robot: str, step_hz: int) -> CollisionCount:
-        """Returns the collisions of a robot since the first such call, or since a reset; see ``PhysicsWorld.collisions``."""
+        """Returns the collisions of a robot since the first call, or since a reset; see ``PhysicsWorld.collisions``."""
         arms = self._arms_of(robot)
         if arms.counter is None:
             self._counted.add(robot)
@@ -204,10 +204,10 @@ class ArmsInWorld:
         return arms.counter.total(step_hz)
 
     def touching(self, robot: str) -> tuple[str, ...]:
-        """Returns what a robot collided with in the last step; see ``PhysicsWorld.touching``."""
+        """Returns the names of the objects that a robot collided with in the last step; see ``PhysicsWorld.touching``."""
         arms = self._arms_of(robot)
-        found = self._collisions(arms, self._bullet.contacts(arms.robot.engine_body))
-        return tuple(sorted({other for _, other in found}))
+        collisions = self._collisions(arms, self._bullet.contacts(arms.robot.engine_body))
+        return tuple(sorted({other for _, other in collisions}))
 
     # Called by the world
 
@@ -235,13 +235,13 @@ class ArmsInWorld:
         self._counted.discard(robot)
 
     def reset(self) -> None:
-        """Forgets everything but which robots' collisions are counted; call it once all robots stand where they started."""
+        """Forgets everything except which robots' collisions are counted; call it after all robots are back at their starts."""
         self._by_robot.clear()
         for robot in self._counted:
             self._arms_of(robot)
 
     def forget_commands(self) -> None:
-        """Stops the servos, whose commands belong to another time; grippers keep what they hold."""
+        """Stops the servos, whose commands have stamps of another time; grippers keep their objects."""
         for arms in self._by_robot.values():
             for servo in arms.servos.values():
                 servo.stop()
@@ -251,7 +251,7 @@ class ArmsInWorld:
     # Inside
 
     def _spec(self, robot: str, arm: str) -> ManipulatorSpec:
-        """Returns an arm; an empty name = the first one. CommandError if there is none."""
+        """Returns an arm, the first one if the name is empty; raises CommandError if it does not exist."""
         try:
             return self._robot(robot).spec.manipulator(arm)
         except RobotError as error:
@@ -283,7 +283,7 @@ class ArmsInWorld:
         return self._by_robot[name]
 
     def _collisions(self, arms: _RobotArms, contacts: Sequence[EngineContact]) -> dict[tuple[str, str], float]:
-        """Returns (link, other) -> force, N, of the contacts that are collisions: all but those with the floor, of hands, and with what they hold."""
+        """Returns (link, other) -> force, N, of contacts that count as collisions: not those with the floor, of hands, or with held objects."""
         floor = self._bullet.raw_root(arms.robot.engine_body)[2] + arms.base_height + STANDING_HEIGHT
         out: dict[tuple[str, str], float] = {}
         for contact in contacts:
@@ -298,5 +298,5 @@ class ArmsInWorld:
 
 def _gripper(robot: str, arm: ManipulatorSpec) -> GripperSpec:
     if arm.gripper is None:
-        raise CommandError(f"arm {quoted(arm.name)} of robot {quoted(robot)} has no gripper; give it one in its robot.yaml")
+        raise CommandError(f"arm {quoted(arm.name)} of robot {quoted(robot)} has no gripper; add one to its robot.yaml")
     return arm.gripper

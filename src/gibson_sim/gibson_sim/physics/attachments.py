@@ -1,7 +1,7 @@
-"""Joints that hold two links together for a while, such as a hand and a handle: ball joints and rigid ones, with a limit of their force.
+"""Temporary joints between two links, such as a hand and a handle: ball joints and fixed joints, with a force limit.
 
-The engine limits the force along each axis of the world. The limit for all directions is a cube of equal limits about a feed-forward force: see
-``reach_of``, ``cube_of`` and ``feed_forward`` at the end.
+The engine limits the force along each world axis. A limit that holds for all directions is built from a cube of equal axis limits around a
+feed-forward force: see ``reach_of``, ``cube_of`` and ``feed_forward`` at the end.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from gibson_sim.quoting import quoted
 from gibson_sim.types import Quat, Vec3
 
 _PEAK = 1.04
-"""Fraction of the limit that no force ever exceeds: the corners of the cube, and a little for the solver's rounding, within 5 %."""
+"""Bound of the force relative to the limit: the corners of the cube stay within it, and the solver's rounding within 5 %."""
 _STEADY = 0.97
-"""Fraction of the limit that a steady pull in any direction can reach; with less, the cube would be larger and the feed-forward force smaller."""
+"""Fraction of the limit that a steady pull in any direction can reach; a smaller value means a larger cube and less feed-forward force."""
 _GROWTH = 0.05
-"""Fraction of the limit by which the force along an axis may grow from one step to the next."""
+"""Largest increase of the force along an axis from one step to the next, as a fraction of the limit."""
 AttachmentKind = Literal["ball", "fixed"]
 ATTACHMENT_KINDS: tuple[AttachmentKind, ...] = ("ball", "fixed")
 _NOTHING: Vec3 = (0.0, 0.0, 0.0)
 _ON_CHILD: dict[AttachmentKind, float] = {"ball": 1.0, "fixed": -1.0}
-"""Sign that makes the engine's constraint force one on the child, by kind."""
+"""Sign that converts the engine's constraint force to the force on the child, by kind."""
 
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """Two links that are joined."""
+    """A joint between two links."""
 
     handle: int
-    """Its number, unique in this world for all time."""
+    """Handle, never reused in this world."""
     parent: str
     """Name of a robot or a body."""
     parent_link: str
     child: str
     child_link: str
     kind: AttachmentKind
-    """ball: a point of each link stays at a point of the other; fixed: they do not rotate relative to each other either."""
+    """ball: a point of one link coincides with a point of the other; fixed: the links do not rotate relative to each other either."""
     max_force: float
-    """Limit in any direction, N, and for a fixed one also about any axis, N m; a stronger pull moves the links apart. A steady pull reaches 97 % of
-    it, and no step exceeds 104 %."""
+    """Limit in any direction, N, and for a fixed joint also about any axis, N m; a stronger pull separates the links. A steady pull reaches 97 % of
+    the limit, and no step exceeds 104 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,9 @@ class AttachmentLoad:
     """Load of an attachment in the last step."""
 
     force: float
-    """N."""
+    """Force, N."""
     torque: float
-    """N m; 0 for a ball."""
+    """Torque, N m; 0 for a ball joint."""
 
 
 @dataclass(slots=True)
@@ -69,11 +69,11 @@ class _Constraint:
 
     attachment: Attachment
     number: int
-    """The engine's number."""
+    """Engine id of the constraint."""
     ends: tuple[tuple[BodyInWorld, int, list[float]], ...]
-    """The parent, then the child: its row of ``Bullet.raw_states``, and the position of the joint in that row's frame, metres."""
+    """Parent and child, each with its row of ``Bullet.raw_states`` and the position of the joint in that row's frame, metres."""
     half: float
-    """Limit of each axis about the feed-forward force in the next step, N or N m."""
+    """Limit per axis around the feed-forward force in the next step, N or N m."""
     force: Vec3 = _NOTHING
     """Feed-forward force in the next step, N, world frame."""
     torque: Vec3 = _NOTHING
@@ -83,10 +83,10 @@ class _Constraint:
 
 
 class Attachments:
-    """All attachments of one world. They end when either body is removed, and at a reset."""
+    """All attachments of one world. An attachment ends when either body is removed, and at a reset."""
 
     def __init__(self, bullet: Bullet, find: Callable[[str], BodyInWorld]) -> None:
-        """Starts without any.
+        """Starts without attachments.
 
         Args:
             bullet: The engine.
@@ -94,12 +94,12 @@ class Attachments:
         """
         self._bullet, self._find = bullet, find
         self._constraints: dict[int, _Constraint] = {}
-        """By handle."""
+        """Constraints by handle."""
         self._next_handle = 1
 
     @property
     def all(self) -> tuple[Attachment, ...]:
-        """The attachments now, the oldest first."""
+        """Current attachments, oldest first."""
         return tuple(constraint.attachment for constraint in self._constraints.values())
 
     def attach(
@@ -113,19 +113,19 @@ class Attachments:
         max_force: float = 500.0,
         point: Vec3 | None = None,
     ) -> int:
-        """Joins two links in their present relative pose, at any distance, so that nothing jumps; returns the handle.
+        """Joins two links in their current relative pose, at any distance, without moving them; returns the handle.
 
         Args:
-            parent: Robot or body, usually the one that holds.
-            parent_link: One of its links.
-            child: Robot or body, usually the one that is held.
-            child_link: One of its links.
+            parent: Robot or body, usually the holding one.
+            parent_link: Link of the parent.
+            child: Robot or body, usually the held one.
+            child_link: Link of the child.
             kind: Kind of joint.
-            max_force: Limit of the force, see ``Attachment``.
+            max_force: Force limit, see ``Attachment``.
             point: Position of the joint, metres, world frame; None = the origin of the parent's link.
 
         Raises:
-            PhysicsError: there is no such body or link, both are the same, or the force is no number above 0.
+            PhysicsError: a body or link does not exist, both links are the same rigid part, or a number is out of range.
         """
         if kind not in ATTACHMENT_KINDS:
             raise PhysicsError(f"kind of an attachment is {quoted(kind)}, must be one of {', '.join(ATTACHMENT_KINDS)}")
@@ -134,20 +134,22 @@ class Attachments:
         a, b = self._find(parent), self._find(child)
         row_a, row_b = a.row_of_link(parent_link), b.row_of_link(child_link)
         if (parent, row_a) == (child, row_b):
-            raise PhysicsError(f"{parent}/{parent_link} and {child}/{child_link} are one rigid part; attach two that move apart")
+            raise PhysicsError(
+                f"{parent}/{parent_link} and {child}/{child_link} are one rigid part; attach links of two rigid parts"
+            )
         pivot = np.array(a.link_position(self._bullet, parent_link) if point is None else point, dtype=np.float64)
         if not np.isfinite(pivot).all():
             raise PhysicsError(f"point of an attachment is {point}, must be finite")
-        at_a, turn_a = _in_inertial(tuple(self._bullet.raw_states(a.engine_body)[row_a].tolist()), pivot)
-        at_b, turn_b = _in_inertial(tuple(self._bullet.raw_states(b.engine_body)[row_b].tolist()), pivot)
+        pivot_a, quat_a = _in_inertial(tuple(self._bullet.raw_states(a.engine_body)[row_a].tolist()), pivot)
+        pivot_b, quat_b = _in_inertial(tuple(self._bullet.raw_states(b.engine_body)[row_b].tolist()), pivot)
         client = self._bullet.client
         joint = p.JOINT_POINT2POINT if kind == "ball" else p.JOINT_FIXED
         number = p.createConstraint(
-            a.engine_body.uid, row_a - 1, b.engine_body.uid, row_b - 1, joint, [0.0, 0.0, 0.0], at_a, at_b, turn_a, turn_b,
+            a.engine_body.uid, row_a - 1, b.engine_body.uid, row_b - 1, joint, [0.0, 0.0, 0.0], pivot_a, pivot_b, quat_a, quat_b,
             physicsClientId=client,
         )  # fmt: skip
         handle, self._next_handle = self._next_handle, self._next_handle + 1
-        ends = (a, row_a, at_a), (b, row_b, at_b)
+        ends = (a, row_a, pivot_a), (b, row_b, pivot_b)
         constraint = _Constraint(Attachment(handle, parent, parent_link, child, child_link, kind, max_force), number, ends, 0.0)
         self._constraints[handle] = constraint
         self._limit(constraint)
@@ -155,14 +157,14 @@ class Attachments:
         return handle
 
     def detach(self, handle: int) -> None:
-        """Removes an attachment; PhysicsError if there is none with this handle."""
+        """Removes an attachment; raises PhysicsError if no attachment has this handle."""
         constraint = self._constraint(handle)
         p.removeConstraint(constraint.number, physicsClientId=self._bullet.client)
         del self._constraints[handle]
         self._wake(self._find(constraint.attachment.parent), self._find(constraint.attachment.child))
 
     def load(self, handle: int) -> AttachmentLoad:
-        """Returns the load in the last step; PhysicsError if there is no attachment with this handle."""
+        """Returns the load in the last step; raises PhysicsError if no attachment has this handle."""
         force, torque = self._constraint(handle).borne
         return AttachmentLoad(math.hypot(*force), math.hypot(*torque))
 
@@ -182,24 +184,22 @@ class Attachments:
             self._limit(constraint)
 
     def detach_all(self, body: str | None = None) -> None:
-        """Removes all attachments of ``body``; None = all of them."""
+        """Removes all attachments of ``body``; None = all attachments."""
         for attachment in self.all:
             if body is None or body in (attachment.parent, attachment.child):
                 self.detach(attachment.handle)
 
     def wake_beside(self, body: str) -> None:
-        """Wakes what is attached to ``body``: a body that was moved pulls at it, however far away it is."""
+        """Wakes the bodies attached to ``body``: a moved body pulls at them at any distance."""
         for attachment in self.all:
             if body in (attachment.parent, attachment.child):
                 self._wake(self._find(attachment.parent), self._find(attachment.child))
 
     def _limit(self, constraint: _Constraint) -> None:
-        """Sets the limit of each axis and the feed-forward force for the next step."""
-        most, reaches = (
-            constraint.attachment.max_force,
-            [reach_of(constraint.attachment.max_force, borne) for borne in constraint.borne],
-        )
-        half = min(cube_of(most, reach) for reach in reaches)
+        """Sets the axis limit and the feed-forward force for the next step."""
+        max_force = constraint.attachment.max_force
+        reaches = [reach_of(max_force, borne) for borne in constraint.borne]
+        half = min(cube_of(max_force, reach) for reach in reaches)
         constraint.force, constraint.torque = (
             feed_forward(borne, reach, half) for borne, reach in zip(constraint.borne, reaches, strict=True)
         )
@@ -207,10 +207,10 @@ class Attachments:
             constraint.half = half
             p.changeConstraint(constraint.number, maxForce=half, physicsClientId=self._bullet.client)
 
-    def _push(self, body: BodyInWorld, row: int, at: list[float], sign: float, constraint: _Constraint) -> None:
+    def _push(self, body: BodyInWorld, row: int, pivot: list[float], sign: float, constraint: _Constraint) -> None:
         """Applies the feed-forward force and torque to one end, at the joint, in the next step."""
         raw, client = self._bullet.raw_states(body.engine_body)[row], self._bullet.client
-        point = (raw[:3] + rotate(raw[None, 3:7], np.array([at]))[0]).tolist()
+        point = (raw[:3] + rotate(raw[None, 3:7], np.array([pivot]))[0]).tolist()
         force, torque = [sign * c for c in constraint.force], [sign * c for c in constraint.torque]
         p.applyExternalForce(body.engine_body.uid, row - 1, force, point, p.WORLD_FRAME, physicsClientId=client)
         if any(torque):
@@ -219,7 +219,7 @@ class Attachments:
     def _constraint(self, handle: int) -> _Constraint:
         if handle not in self._constraints:
             known = ", ".join(map(str, self._constraints)) or "none"
-            raise PhysicsError(f"nothing is attached with handle {handle}; attached are: {known}")
+            raise PhysicsError(f"no attachment has handle {handle}; known: {known}")
         return self._constraints[handle]
 
     def _wake(self, *bodies: BodyInWorld) -> None:
@@ -228,36 +228,36 @@ class Attachments:
 
 
 def reach_of(limit: float, borne: Sequence[float]) -> Vec3:
-    """Returns the greatest force along each axis in the next step, N or N m, not negative.
+    """Returns the largest magnitude of the force along each axis in the next step, N or N m.
 
     Args:
         limit: Limit for all directions, N or N m.
-        borne: Force along each axis in the last step.
+        borne: Force along each axis in the last step, N or N m.
     """
     x, y, z = (abs(force) for force in borne)
-    most = _STEADY * limit
-    # Equal growth along all three, up to (x + growth)^2 + (y + growth)^2 + (z + growth)^2 = most^2.
-    total, left = x + y + z, most**2 - x * x - y * y - z * z
-    if left < 0.0:
-        part = most / math.hypot(x, y, z)
-        return part * x, part * y, part * z
-    growth = min(_GROWTH * limit, (math.sqrt(total**2 + 3.0 * left) - total) / 3.0)
+    steady = _STEADY * limit
+    # Equal growth along all three axes, up to (x + growth)^2 + (y + growth)^2 + (z + growth)^2 = steady^2.
+    total, remaining = x + y + z, steady**2 - x * x - y * y - z * z
+    if remaining < 0.0:
+        scale = steady / math.hypot(x, y, z)
+        return scale * x, scale * y, scale * z
+    growth = min(_GROWTH * limit, (math.sqrt(total**2 + 3.0 * remaining) - total) / 3.0)
     return x + growth, y + growth, z + growth
 
 
 def cube_of(limit: float, reach: Vec3) -> float:
-    """Returns half the edge of the largest cube, N or N m, that stays within the limit wherever it stands within ``reach``."""
-    left, half = (_PEAK * limit) ** 2, 0.0
+    """Returns half the edge of the largest cube, N or N m, that stays within the limit at every position within ``reach``."""
+    remaining, half = (_PEAK * limit) ** 2, 0.0
     for count, axis in zip((3, 2, 1), sorted(reach, reverse=True), strict=True):
-        half = math.sqrt(left / count)
+        half = math.sqrt(remaining / count)
         if half >= axis:
             break
-        left -= axis**2
+        remaining -= axis**2
     return half
 
 
 def feed_forward(borne: Sequence[float], reach: Vec3, half: float) -> Vec3:
-    """Returns the centre of the cube, N or N m: 0 along axes where a cube about zero reaches far enough."""
+    """Returns the centre of the cube, N or N m: 0 along axes where a cube around zero extends far enough."""
     x, y, z = (math.copysign(max(0.0, far - half), force) for far, force in zip(reach, borne, strict=True))
     return x, y, z
 
@@ -267,7 +267,7 @@ def _sum(a: Sequence[float], b: Sequence[float]) -> Vec3:
 
 
 def _in_inertial(raw: tuple[float, ...], point: NDArray[np.float64]) -> tuple[list[float], Quat]:
-    """Returns a point and the axes of the world, in the inertial frame that ``raw`` (``Bullet.raw_states``) describes."""
+    """Returns a world point and the orientation of the world in the inertial frame given by ``raw``, a row of ``Bullet.raw_states``."""
     x, y, z, w = raw[3:7]
     inverse = (-x, -y, -z, w)
     return rotate(np.array([inverse]), (point - np.array(raw[:3]))[None])[0].tolist(), inverse

@@ -1,8 +1,7 @@
 """One body in the engine: its joints, its shapes, the frames of its links.
 
-``BodyInWorld`` is any body, and what a robot has in common with it. Below it: which link a point on a rigid group belongs to, bounding boxes of
-shapes, and collision meshes as the engine reads them. Of a body that can move, the engine gets the convex hull of each mesh; of a static one,
-all triangles.
+``BodyInWorld`` is a body, and the base class of robots. The rest of the module assigns points on a rigid group to links, computes bounding boxes of
+shapes, and converts collision meshes for the engine: convex hulls for movable bodies, all triangles for static ones.
 """
 
 from __future__ import annotations
@@ -38,17 +37,17 @@ from gibson_sim.robots.joints.kinematics import Chain, ChainSolution
 from gibson_sim.types import Pose, Vec3
 
 _ENGINE_MESHES = (".obj",)
-"""Formats that the engine reads itself, as one convex hull for each object in the file."""
+"""Formats read by the engine itself, with one convex hull per object in the file."""
 _MAX_ENGINE_BYTES = 2_000_000
-"""Largest file that the engine reads itself: it takes a tenth of a second, in which time stands still. ``prepare_meshes`` makes the hulls of larger
-ones in another thread."""
+"""Largest file read by the engine itself, which takes 0.1 s and blocks the simulation. ``prepare_meshes`` computes the hulls of larger files in
+another thread."""
 
 
 class BodyInWorld:
     """A tree of links in the engine."""
 
     sleeps = True
-    """Whether the engine lets it sleep while it rests, which costs nothing."""
+    """Whether the engine may put the body to sleep while it is at rest, which saves time."""
 
     def __init__(
         self,
@@ -66,11 +65,11 @@ class BodyInWorld:
         Args:
             bullet: The engine.
             name: Name of the body.
-            model: Its links.
+            model: Links and joints of the body.
             start: T_world_root.
-            static: Whether only ``set_state`` moves its root.
-            concave: Whether its collision meshes keep all triangles, hollow; None = those of a static body do.
-            joints: Names and positions of joints at the start, radians or metres.
+            static: Whether only ``set_state`` moves the root.
+            concave: Whether collision meshes keep all triangles, as hollow surfaces; None = only for a static body.
+            joints: Names and initial positions of joints, radians or metres.
         """
         self.name, self.model, self.start, self.static = name, model, start, static
         self._concave = static if concave is None else concave
@@ -78,9 +77,9 @@ class BodyInWorld:
         self.links = tuple(link.name for link in model.links)
         """Names of all links, the root first, without the body name."""
         self.full_links = tuple(f"{name}/{link}" for link in self.links)
-        """The same with it: ``<body>/<link>``."""
+        """Names of all links with the body name: ``<body>/<link>``."""
         self.moving_joints = tuple(joint.name for joint in model.joints if joint.kind in MOVING_TYPES)
-        """Names, in the order of the URDF."""
+        """Names of the movable joints, in the order of the URDF."""
         groups, warnings = rigid_groups(model, fixed_root=static)
         self.warnings = [*model.warnings, *warnings]
         self._groups = tuple(self._with_engine_meshes(bullet, group) for group in groups)
@@ -92,26 +91,26 @@ class BodyInWorld:
         self._chains: dict[tuple[str, tuple[str, ...] | None], Chain] = {}
         self._link_shapes: dict[int, _LinkShapes] = {}
         self._outlines: list[tuple[int, Shape, Mat4, F64]] | None = None
-        """Row, shape, T_group_shape and ``_corners`` of each collision shape; None = not needed yet."""
+        """Row, shape, T_group_shape and ``_corners`` of each collision shape; None = not computed yet."""
 
     def load(self, bullet: Bullet) -> None:
-        """Puts the body at its start, at rest, with its joints at their start positions."""
+        """Loads the body at its start, at rest, with its joints at their initial positions."""
         self.engine_body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static, sleeps=self.sleeps)
         indices = self.engine_body.joint_indices
         for name, position in self.model.with_followers(self._start_joints).items():
             if name not in indices:
                 known = ", ".join(self.moving_joints) or "none"
-                raise PhysicsError(f"{quoted(self.name)} has no joint {quoted(name)} that moves; known: {known}")
+                raise PhysicsError(f"{quoted(self.name)} has no movable joint {quoted(name)}; known: {known}")
             bullet.place_joint(self.engine_body, indices[name], position)
         for joint in self.model.joints:
             if joint.mimic is not None:
                 bullet.gear_joints(self.engine_body, indices[joint.name], indices[joint.mimic.leader], joint.mimic)
         self.motors: JointMotors | None = None
-        """None = no joint was ever commanded."""
+        """Joint motors; None = no joint has been commanded."""
         self._set_up_motors(bullet)
 
     def _set_up_motors(self, bullet: Bullet) -> None:
-        """Lets the joints of a body without motors, such as doors and drawers, swing freely but for their own friction and damping."""
+        """Sets the friction and damping of joints without motors, such as doors and drawers, which otherwise move freely."""
         for joint in self.model.joints:
             if joint.kind not in ("revolute", "prismatic", "continuous"):
                 continue
@@ -119,7 +118,7 @@ class BodyInWorld:
             if joint.damping:
                 bullet.damp_joint(self.engine_body, index, joint.damping)
             if joint.friction:
-                # Dry friction is a weak motor with target velocity 0.
+                # Dry friction is modelled by a weak motor with target velocity 0.
                 bullet.drive_joints(self.engine_body, [index], [0.0], [joint.friction])
 
     # Joints
@@ -131,7 +130,7 @@ class BodyInWorld:
         self.motors.command(bullet, command, now_ns)
 
     def forget_commands(self, bullet: Bullet, now_ns: int) -> None:
-        """Stops joints that move, until the next command."""
+        """Stops moving joints until the next command."""
         if self.motors is not None:
             self.motors.stop(bullet, now_ns)
 
@@ -141,13 +140,13 @@ class BodyInWorld:
             self.motors.actuate(bullet, now_ns, dt)
 
     def joint_positions(self, bullet: Bullet) -> dict[str, float]:
-        """Returns the positions of all joints that move, radians or metres."""
+        """Returns the positions of all movable joints, radians or metres."""
         indices = self.engine_body.joint_indices
         angles = bullet.joint_angles(self.engine_body, [indices[name] for name in self.moving_joints])
         return dict(zip(self.moving_joints, angles, strict=True))
 
     def chain(self, tip: str, joints: Sequence[str] | None = None) -> Chain:
-        """Returns the joints between the root and a link; see ``Chain``."""
+        """Returns the kinematic chain from the root to a link; see ``Chain``."""
         key = tip, None if joints is None else tuple(joints)
         if key not in self._chains:
             self._chains[key] = Chain(self.model, tip, joints)
@@ -163,7 +162,7 @@ class BodyInWorld:
         rest: Mapping[str, float] | None = None,
         orientation: bool = True,
     ) -> ChainSolution:
-        """Returns the joints that bring a link to ``target`` (T_world_link); see ``PhysicsWorld.solve_chain``."""
+        """Solves the inverse kinematics of a link for ``target`` (T_world_link); see ``PhysicsWorld.solve_chain``."""
         T_root_target = invert(matrix_from_pose(self.root_state(bullet)[0])) @ matrix_from_pose(target)
         return self.chain(link, joints).solve(T_root_target, self.joint_positions(bullet), rest=rest, orientation=orientation)
 
@@ -178,7 +177,7 @@ class BodyInWorld:
         return Pose((x, y, z), (qx, qy, qz, qw)), linear[0], angular[0]
 
     def set_state(self, bullet: Bullet, pose: Pose | None, linear: Vec3 | None, angular: Vec3 | None) -> None:
-        """Moves the root, or changes its velocity; what is None stays."""
+        """Sets the pose or velocity of the root; None = unchanged."""
         pose_now, linear_now, angular_now = self.root_state(bullet)
         if pose is not None:
             bullet.place(self.engine_body, pose)
@@ -189,9 +188,9 @@ class BodyInWorld:
         bullet.set_velocity(self.engine_body, (pose or pose_now).quat_xyzw, speed, spin)
 
     def bounds(self, bullet: Bullet, T_frame_world: Mat4) -> tuple[F64, F64]:
-        """Returns the lowest and the highest corner, each (3,), metres, in a frame, of the bounding box of all collision shapes.
+        """Returns the minimum and maximum corner, each (3,), metres, of the bounding box of all collision shapes in a frame.
 
-        For a body without any, both are the origin of its root.
+        For a body without collision shapes, both are the origin of its root.
         """
         positions, quats, _, _ = self.table.groups(bullet.raw_states(self.engine_body))
         world_from_group = matrices_from_poses(positions, quats)
@@ -209,13 +208,13 @@ class BodyInWorld:
     # Links, and the rows of ``Bullet.raw_states`` that move them
 
     def row_of_link(self, link: str) -> int:
-        """Returns which row of ``Bullet.raw_states`` moves a link: 0 = the root; the engine's own number is one less."""
+        """Returns the row of ``Bullet.raw_states`` of a link's rigid group: 0 = the root; the engine's link index is one less."""
         return int(self.table.rows[self._index_of_link(link)])
 
     def link_of_row(self, row: int) -> str:
         """Returns the name of the link whose rigid group is the engine's link ``row`` (-1 = the root)."""
         if row not in self._names_of_rows:
-            raise PhysicsError(f"body {quoted(self.name)} has no link number {row}")
+            raise PhysicsError(f"body {quoted(self.name)} has no link with index {row}")
         return self._names_of_rows[row]
 
     def link_position(self, bullet: Bullet, link: str) -> Vec3:
@@ -229,8 +228,8 @@ class BodyInWorld:
 
         Args:
             bullet: The engine.
-            row: The engine's number of the link.
-            point: World frame, metres.
+            row: Engine index of the link.
+            point: Position of the point, world frame, metres.
         """
         group = next(group for group in self._groups if self._row(group) == row + 1)
         if row not in self._link_shapes:
@@ -249,12 +248,12 @@ class BodyInWorld:
 
     def _frame_table(self) -> FrameTable:
         """Returns the poses of the links relative to the inertial frames that the engine moves."""
-        home: dict[str, tuple[RigidGroup, Mat4]] = {
+        group_of: dict[str, tuple[RigidGroup, Mat4]] = {
             link: (group, T_group_link) for group in self._groups for link, T_group_link in group.members.items()
         }
         rows, offsets, rotations = [], [], []
         for link in self.links:
-            group, T_group_link = home[link]
+            group, T_group_link = group_of[link]
             rows.append(self._row(group))
             offsets.append(T_group_link[:3, 3])
             rotations.append(right_multiplication(quat_from_matrix(T_group_link[:3, :3])))
@@ -267,7 +266,7 @@ class BodyInWorld:
         )
 
     def _with_engine_meshes(self, bullet: Bullet, group: RigidGroup) -> RigidGroup:
-        """Returns the group with meshes in files that the engine reads; a mesh that cannot be read is left out, with a warning."""
+        """Returns the group with meshes converted to files for the engine; an unreadable mesh is omitted with a warning."""
         collisions = []
         for shape, pose in group.collisions:
             try:
@@ -301,14 +300,14 @@ class _LinkShapes:
         ]
 
     def nearest(self, point: F64) -> str:
-        """Returns the link whose shape is nearest to a point, (3,), metres, group's frame; the group's first link if none has a shape."""
+        """Returns the link whose shape is nearest to a point, (3,), metres, group's frame; the group's first link if no link has a shape."""
         if len({name for name, *_ in self._shapes}) < 2:
             return self._shapes[0][0] if self._shapes else self._first
         return min(self._shapes, key=lambda entry: _distance(entry[1], entry[2], entry[3], point))[0]
 
 
 def _planes(shape: Shape) -> F64:
-    """Returns the planes, (P, 4), outward, of the convex hull of a mesh; none for other shapes and for flat meshes."""
+    """Returns the outward planes, (P, 4), of the convex hull of a mesh; (0, 4) for other shapes and for flat meshes."""
     if shape.kind != "mesh":
         return np.zeros((0, 4))
     vertices, _ = load_shape(shape).merged()
@@ -330,16 +329,16 @@ def _distance(T_shape_group: Mat4, shape: Shape, planes: F64, point: F64) -> flo
     return float((planes[:, :3] @ local + planes[:, 3]).max()) if len(planes) else math.inf
 
 
-def _outside(beyond: Sequence[float]) -> float:
-    """Returns the signed distance to a box or a cylinder, from the signed distances of a point beyond each pair of sides."""
-    return math.hypot(*(max(c, 0.0) for c in beyond)) + min(max(beyond), 0.0)
+def _outside(excess: Sequence[float]) -> float:
+    """Returns the signed distance to a box or a cylinder, from the signed distances of a point to each pair of sides."""
+    return math.hypot(*(max(c, 0.0) for c in excess)) + min(max(excess), 0.0)
 
 
 # Bounding boxes of shapes
 
 
 def _corners(shape: Shape) -> F64:
-    """Returns the points, (N, 3), that decide how far a shape reaches; none for round shapes."""
+    """Returns the points, (N, 3), that determine the bounding box of a shape; (0, 3) for round shapes."""
     if shape.kind == "box":
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.asarray(signs * np.array(shape.size) / 2)
@@ -350,7 +349,7 @@ def _corners(shape: Shape) -> F64:
 
 
 def _extent(shape: Shape, T_frame_shape: Mat4, points: F64) -> tuple[F64, F64]:
-    """Returns the lowest and the highest corner, each (3,), of a shape in a frame."""
+    """Returns the minimum and maximum corner, each (3,), of the bounding box of a shape in a frame."""
     if len(points):
         corners = transform_points(T_frame_shape, points)
         return corners.min(axis=0), corners.max(axis=0)
@@ -367,7 +366,7 @@ def _extent(shape: Shape, T_frame_shape: Mat4, points: F64) -> tuple[F64, F64]:
 
 
 def prepare_meshes(spec: BodySpec) -> None:
-    """Converts a body's collision meshes for the engine, in any thread, so that adding the body takes no time later."""
+    """Converts a body's collision meshes for the engine, in any thread, so that adding the body later is fast."""
     groups, _ = rigid_groups(spec.model, fixed_root=spec.static)
     for shape, _ in (collision for group in groups for collision in group.collisions):
         if shape.kind == "mesh" and (spec.static or not _engine_reads(shape.mesh)):
@@ -376,20 +375,20 @@ def prepare_meshes(spec: BodySpec) -> None:
 
 
 def _engine_reads(mesh: str) -> bool:
-    """Returns whether the engine itself reads the mesh of a body that can move."""
+    """Returns whether the engine itself reads the mesh of a movable body."""
     if not mesh.lower().endswith(_ENGINE_MESHES):
         return False
     try:
         if os.path.getsize(mesh) <= _MAX_ENGINE_BYTES:
             return True
-        # The engine makes one hull for each object of an OBJ: files of convex parts have several objects.
+        # The engine creates one hull per object of an OBJ: files of convex parts have several objects.
         return len(re.findall(rb"^[og]\s", Path(mesh).read_bytes(), re.MULTILINE)) > 1
     except OSError:
         return True  # which then reports the error
 
 
 def hull_of(shape: Shape) -> tuple[F64, NDArray[np.int64]]:
-    """Returns corners (N, 3) and triangles (T, 3), outward, of the convex hull of a mesh under its scale; reads a changed file again.
+    """Returns vertices (N, 3) and outward triangles (T, 3) of the convex hull of a scaled mesh; reads a changed file again.
 
     Raises:
         MeshError: the mesh cannot be read, or is flat.
@@ -398,7 +397,7 @@ def hull_of(shape: Shape) -> tuple[F64, NDArray[np.int64]]:
 
 
 def mesh_obj(shape: Shape) -> bytes:
-    """Returns an OBJ file with all triangles of a mesh under its scale, equal corners merged; reads a changed file again.
+    """Returns the text of an OBJ file with all triangles of a scaled mesh, equal vertices merged; reads a changed file again.
 
     Raises:
         MeshError: the mesh cannot be read.
@@ -418,7 +417,7 @@ def _file_version(file: str) -> tuple[int, ...]:
 def _mesh_obj(shape: Shape, version: tuple[int, ...]) -> bytes:
     del version
     vertices, triangles = load_shape(shape).merged()
-    rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()  # + 0.0: -0 becomes 0
+    rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()  # + 0.0 turns -0 into 0
     _, first, same = np.unique(rows, return_index=True, return_inverse=True)
     return to_obj(vertices[first], same[triangles]).encode()
 

@@ -1,11 +1,11 @@
-"""PyBullet behind one class.
+"""A wrapper of PyBullet.
 
-Guarantees: every call goes to its own client; poses are those of URDF LINK FRAMES and velocities those of their origins (PyBullet's are those of
-centres of mass); quaternions are (x, y, z, w); nothing is written to the terminal. Not thread-safe: one owner thread for each client.
+Guarantees: every call passes the client id; poses are those of URDF LINK FRAMES and velocities those of their origins (PyBullet's are those of
+centres of mass); quaternions are (x, y, z, w); nothing is written to the terminal. Not thread-safe: one owner thread per client.
 
-What Bullet keeps from one step to the next outlives the bodies it is about: the shape of its trees of bounding boxes, how far it got in optimising
-them and in dropping pairs that have parted. That decides the order in which contacts are solved, so bodies that are removed and added again move a
-little differently. Only ``reset``, which begins with an empty engine, makes a second run equal to the first.
+Bullet's internal state outlives removed bodies: the structure of its bounding volume trees, and the progress of optimising them and of removing
+separated pairs. It determines the order in which contacts are solved, so bodies that are removed and added again move slightly differently. Only
+``reset``, which starts with an empty engine, makes a second run equal to the first.
 """
 
 from __future__ import annotations
@@ -30,29 +30,29 @@ from gibson_sim.quoting import quoted
 from gibson_sim.types import Pose, Quat, Vec3
 
 _RAYS_PER_CALL = 16_000
-"""Rays in a batch; PyBullet refuses more than 16,384."""
+"""Number of rays per batch; PyBullet refuses more than 16,384."""
 _FIRST_RAY_BIT = 6
 """Lowest bit of the collision group that Bullet does not use itself."""
 _GEAR_ERP = 0.5
-"""Fraction of its error that a gear constraint corrects in a step."""
+"""Error reduction parameter of gear constraints: fraction of the error corrected in a step."""
 _GEAR_FORCE = 1e5
-"""Greatest force of a gear constraint, N or N m: more than any motor has."""
+"""Force limit of a gear constraint, N or N m: more than any motor has."""
 _RAYS_FOR_THREADS = 2_000
-"""Number of rays above which several threads are faster; a planar scan is faster in one."""
+"""Number of rays above which several threads are faster; a planar scan is faster in one thread."""
 MAX_BODIES_WITH_RAYS = 24
-"""Bodies that rays can ignore: each needs a bit of the 32-bit collision group, whose lowest six are Bullet's."""
+"""Maximum number of bodies that rays can ignore: each needs a bit of the 32-bit collision group, whose lowest six Bullet uses itself."""
 
 
 @dataclass(slots=True)
 class _Shape:
-    """A collision shape, and how it is made."""
+    """A collision shape and its definition."""
 
     name: str
     """Name for error messages."""
     arguments: dict[str, Any]
-    """Of ``createCollisionShape``."""
+    """Arguments of ``createCollisionShape``."""
     uid: int = -1
-    """The engine's number of it now."""
+    """Current engine id."""
 
 
 class Bullet:
@@ -65,49 +65,49 @@ class Bullet:
             self._client: int | None = p.connect(p.DIRECT)
         if self._client < 0:
             self._client = None
-            raise PhysicsError("PyBullet gives no more clients; close worlds that are no longer used")
+            raise PhysicsError("PyBullet has no free client; close unused worlds")
         self._step_hz, self._gravity = step_hz, gravity
         self._ray_threads = min(4, os.cpu_count() or 1)
         self._shapes: list[_Shape] = []
-        """Shapes for static bodies; their numbers here are indices."""
+        """Shapes for static bodies; methods refer to them by their index."""
         self._placed: list[tuple[Sequence[int], Pose, str]] = []
-        """What ``add_static`` was called with."""
+        """Arguments of all calls of ``add_static``."""
         self._begin()
 
     def _begin(self) -> None:
-        """Sets up an engine that is empty."""
+        """Sets up an empty engine."""
         client = self.client
         self._names: dict[int, str] = {}
-        """Engine number of a body -> its name."""
+        """Engine id of a body -> its name."""
         self._static: set[int] = set()
-        """Engine numbers of static shapes."""
+        """Engine ids of static shapes."""
         self._ray_bits = set(range(_FIRST_RAY_BIT, _FIRST_RAY_BIT + MAX_BODIES_WITH_RAYS))
         self._sleeping = SleepingBodies(client)
         self.active_bodies = ActiveBodies(client)
-        """How many were active in the last steps."""
+        """Counter of the bodies that were active in the last steps."""
         p.setTimeStep(1.0 / self._step_hz, physicsClientId=client)
         p.setGravity(*self._gravity, physicsClientId=client)
         p.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1,
             numSolverIterations=50,
-            # Its key is the file name alone: within one client a changed file would keep its first shape.
+            # The cache uses only the file name as its key: within one client a changed file would keep its first shape.
             enableFileCaching=0,
             physicsClientId=client,
         )
 
     def reset(self) -> None:
-        """Removes all bodies and constraints; static shapes stay. What follows is bit-equal to what follows in a new engine with these shapes."""
+        """Removes all bodies and constraints, keeps static shapes. Later steps are bit-identical to those of a new engine with these shapes."""
         with quiet():
             p.resetSimulation(physicsClientId=self.client)
         self._begin()
         for shape in self._shapes:
-            shape.uid = self._made(shape)
+            shape.uid = self._create_shape(shape)
         for shapes, pose, name in self._placed:
             self._place_static(shapes, pose, name)
 
     @property
     def client(self) -> int:
-        """The client's number; raises PhysicsError after ``close``."""
+        """PyBullet's client id; raises PhysicsError after ``close``."""
         self.check_open()
         assert self._client is not None
         return self._client
@@ -115,7 +115,7 @@ class Bullet:
     def check_open(self) -> None:
         """Raises PhysicsError after ``close``."""
         if self._client is None:
-            raise PhysicsError("this physics world is closed; make a new one")
+            raise PhysicsError("this physics world is closed; create a new one")
 
     def close(self) -> None:
         """Frees the engine; a second call does nothing."""
@@ -135,27 +135,27 @@ class Bullet:
     # Static shapes
 
     def plane_shape(self) -> list[int]:
-        """Returns the infinite plane z = 0, facing up."""
+        """Creates the infinite plane z = 0, facing up, and returns its shape indices."""
         return [self._add_shape(_Shape("plane", {"shapeType": p.GEOM_PLANE, "planeNormal": [0, 0, 1]}))]
 
     def box_shape(self, size: Vec3) -> list[int]:
-        """Returns a box with edges ``size``, metres."""
+        """Creates a box with edges ``size``, metres, and returns its shape indices."""
         return [self._add_shape(_Shape("box", {"shapeType": p.GEOM_BOX, "halfExtents": [edge / 2 for edge in size]}))]
 
     def sphere_shape(self, radius: float) -> list[int]:
-        """Returns a sphere."""
+        """Creates a sphere with ``radius``, metres, and returns its shape indices."""
         return [self._add_shape(_Shape("sphere", {"shapeType": p.GEOM_SPHERE, "radius": radius}))]
 
     def cylinder_shape(self, radius: float, length: float) -> list[int]:
-        """Returns a cylinder about z."""
+        """Creates a cylinder about z, metres, and returns its shape indices."""
         return [self._add_shape(_Shape("cylinder", {"shapeType": p.GEOM_CYLINDER, "radius": radius, "height": length}))]
 
     def mesh_shape(self, vertices: NDArray[np.float64], triangles: NDArray[np.int64], name: str) -> list[int]:
-        """Returns a triangle mesh, hollow and with all its triangles, in as many pieces as PyBullet's limits require.
+        """Creates a triangle mesh, hollow and with all its triangles, in as many pieces as PyBullet's limits require; returns their indices.
 
         Args:
             vertices: (V, 3), metres.
-            triangles: (T, 3) indices into ``vertices``.
+            triangles: (T, 3), indices into ``vertices``.
             name: Name for error messages.
         """
         flags = p.GEOM_FORCE_CONCAVE_TRIMESH | p.GEOM_CONCAVE_INTERNAL_EDGE
@@ -166,11 +166,11 @@ class Bullet:
         return shapes
 
     def engine_shape(self, shape: int) -> int:
-        """Returns the engine's number of a shape, until the next ``reset``."""
+        """Returns the engine id of a shape, valid until the next ``reset``."""
         return self._shapes[shape].uid
 
     def add_static(self, shapes: Sequence[int], pose: Pose, name: str) -> None:
-        """Adds shapes to the world for good; a shape may be added many times."""
+        """Adds shapes to the world permanently; a shape may be added several times."""
         self._place_static(shapes, pose, name)
         self._placed.append((shapes, pose, name))
 
@@ -192,25 +192,25 @@ class Bullet:
                 -1,
                 lateralFriction=1.0,
                 restitution=0.0,
-                # PyBullet leaves it active, and then Bullet checks in every step where sleeping bodies touch it.
+                # PyBullet leaves it active, and Bullet would then check contacts of sleeping bodies with it in every step.
                 activationState=p.ACTIVATION_STATE_SLEEP,
                 physicsClientId=self.client,
             )
 
     def _add_shape(self, shape: _Shape) -> int:
-        shape.uid = self._made(shape)
+        shape.uid = self._create_shape(shape)
         self._shapes.append(shape)
         return len(self._shapes) - 1
 
-    def _made(self, shape: _Shape) -> int:
-        """Returns the engine's number of a new shape."""
+    def _create_shape(self, shape: _Shape) -> int:
+        """Creates a shape in the engine and returns its engine id."""
         with quiet():
             return _checked(p.createCollisionShape(**shape.arguments, physicsClientId=self.client), shape.name)
 
     # Bodies with joints
 
     def wake(self, body: BulletBody) -> None:
-        """Wakes a body before the next step; a body that moves wakes what it touches."""
+        """Wakes a body before the next step; a moving body wakes the bodies that it touches."""
         self._sleeping.wake(body)
 
     def load_urdf(self, text: str, pose: Pose, name: str, *, static: bool = False, sleeps: bool = False) -> BulletBody:
@@ -221,7 +221,10 @@ class Bullet:
             pose: T_world_root.
             name: Name for error messages.
             static: Whether the root is fixed.
-            sleeps: Whether the body sleeps while it rests, which costs nothing, until something that moves touches it.
+            sleeps: Whether the body may sleep while it is at rest, which saves time, until a moving body touches it.
+
+        Raises:
+            PhysicsError: PyBullet refuses the URDF.
         """
         path = self.files.write_urdf(text)
         flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_MAINTAIN_LINK_ORDER | p.URDF_USE_IMPLICIT_CYLINDER
@@ -254,7 +257,7 @@ class Bullet:
         return body
 
     def let_rays_ignore(self, body: BulletBody, name: str) -> None:
-        """Lets ``cast_rays`` ignore this body."""
+        """Makes the body ignorable by ``cast_rays``; raises PhysicsError if ``MAX_BODIES_WITH_RAYS`` are."""
         if not self._ray_bits:
             raise PhysicsError(f"cannot add {quoted(name)}: a world holds at most {MAX_BODIES_WITH_RAYS} robots")
         body.ray_bit = min(self._ray_bits)
@@ -272,7 +275,7 @@ class Bullet:
             self._ray_bits.add(body.ray_bit)
 
     def place(self, body: BulletBody, pose: Pose) -> None:
-        """Moves the root link's frame to ``pose`` (T_world_root); joint positions and velocities stay."""
+        """Moves the root link's frame to ``pose`` (T_world_root); joint positions and velocities are unchanged."""
         quat = quat_product(pose.quat_xyzw, body.root_inertial[1])
         center = np.array(pose.position) - rotate(np.array([quat]), body.links_in_inertial[:1])[0]
         self._sleeping.wake_beside(body)
@@ -284,7 +287,7 @@ class Bullet:
 
         Args:
             body: The body.
-            quat_xyzw: Orientation of the root link's frame now.
+            quat_xyzw: Current orientation of the root link's frame.
             linear: (3,), m/s, world frame.
             angular: (3,), rad/s, world frame.
         """
@@ -300,7 +303,7 @@ class Bullet:
         self._sleeping.wake_beside(body)
 
     def gear_joints(self, body: BulletBody, follower: int, leader: int, mimic: Mimic) -> None:
-        """Couples two joints of a body as by gears, so that either can push the other; the gear is removed with the body."""
+        """Couples two joints of a body by a gear constraint, so that either can move the other; it is removed with the body."""
         ends = ([0.0, 0.0, 0.0],) * 3
         gear = p.createConstraint(body.uid, follower, body.uid, leader, p.JOINT_GEAR, *ends, physicsClientId=self.client)
         p.changeConstraint(
@@ -317,34 +320,34 @@ class Bullet:
         p.changeDynamics(body.uid, index, jointDamping=damping, physicsClientId=self.client)
 
     def contacts(self, body: BulletBody | None = None) -> list[EngineContact]:
-        """Returns the contacts of a body in the last step; None = of all bodies, each point once, with static shapes as the other."""
+        """Returns the contacts of a body in the last step; None = all bodies, each point once, with static shapes as ``other``."""
         if body is None:
             points = p.getContactPoints(physicsClientId=self.client) or ()
-            found = [self._contact(point, point[2] if point[1] in self._static else point[1]) for point in points]
+            contacts = [self._contact(point, point[2] if point[1] in self._static else point[1]) for point in points]
         else:
             points = p.getContactPoints(bodyA=body.uid, physicsClientId=self.client) or ()
-            found = [self._contact(point, body.uid) for point in points]
-        return [contact for contact in found if contact.force > 0.0 or contact.distance <= 0.0]
+            contacts = [self._contact(point, body.uid) for point in points]
+        return [contact for contact in contacts if contact.force > 0.0 or contact.distance <= 0.0]
 
     def bodies_near(self, body: BulletBody, link: int, radius: float) -> set[int]:
-        """Returns the engine numbers of bodies whose bounding boxes are within ``radius`` metres of that of a link (-1 = the root)."""
+        """Returns the engine ids of bodies whose bounding boxes are within ``radius`` metres of that of a link (-1 = the root)."""
         low, high = p.getAABB(body.uid, link, physicsClientId=self.client)
         low, high = [c - radius for c in low], [c + radius for c in high]
         return {uid for uid, _ in p.getOverlappingObjects(low, high, physicsClientId=self.client) or ()}
 
     def closest_points(self, body: BulletBody, link: int, other: BulletBody, radius: float) -> list[EngineContact]:
-        """Returns where a link (-1 = the root) and the links of another body are closest, if within ``radius`` metres; without forces."""
+        """Returns the closest points of a link (-1 = the root) and the links of another body within ``radius`` metres; without forces."""
         points = p.getClosestPoints(body.uid, other.uid, radius, linkIndexA=link, physicsClientId=self.client) or ()
         return [self._contact(point, body.uid) for point in points]
 
     def overlaps(self, body: BulletBody, others: Sequence[BulletBody]) -> list[EngineContact]:
-        """Returns where a body overlaps static shapes or other bodies now; without forces, and without a trace in the engine."""
+        """Returns the current overlaps of a body with static shapes or other bodies; without forces, and without side effects in the engine."""
         client, uids = self.client, [*self._static, *(other.uid for other in others)]
         points = (p.getClosestPoints(body.uid, uid, 0.0, physicsClientId=client) or () for uid in uids)
         return [self._contact(point, body.uid) for point in chain.from_iterable(points)]
 
     def _contact(self, point: tuple[Any, ...], uid: int) -> EngineContact:
-        """Returns a contact point of PyBullet from the side of the body ``uid``."""
+        """Converts a contact point of PyBullet, seen from the body ``uid``."""
         _, a, b, link_a, link_b, on_a, on_b, normal, distance, force = point[:10]
         if a != uid:
             a, b, link_a, link_b, on_a, on_b, normal = b, a, link_b, link_a, on_b, on_a, tuple(-c for c in normal)
@@ -358,12 +361,12 @@ class Bullet:
             parts += p.getBaseVelocity(body.uid, client)
             if body.link_count:
                 for state in p.getLinkStates(body.uid, body.link_indices, 1, 1, client):
-                    # 0, 1: centre of mass; 6, 7: its velocities, requested by the first 1. The frames at 4, 5 have 32 bits only.
+                    # 0, 1: centre of mass; 6, 7: its velocities, requested by the first 1. The frames at 4, 5 have only 32 bits.
                     parts += state[0], state[1], state[6], state[7]
         return np.fromiter(chain.from_iterable(parts), np.float64).reshape(-1, 13)
 
     def at_rest(self, bodies: Sequence[BulletBody]) -> list[bool]:
-        """Returns for each body whether all its velocities are exactly 0, as only those of sleeping bodies are."""
+        """Returns for each body whether all its velocities are exactly 0, which is true only for sleeping bodies."""
         client = self.client
         return [
             not (self.raw_states(body)[:, 7:].any() if body.link_count else any(map(any, p.getBaseVelocity(body.uid, client))))
@@ -387,13 +390,13 @@ class Bullet:
         return [s[0] for s in p.getJointStates(body.uid, indices, self.client)] if indices else []
 
     def drive_joints(self, body: BulletBody, indices: Sequence[int], speeds: Sequence[float], efforts: Sequence[float]) -> None:
-        """Lets motors hold ``speeds`` (rad/s or m/s) with at most ``efforts`` (N m or N)."""
+        """Sets velocity targets ``speeds`` (rad/s or m/s) of motors with effort limits ``efforts`` (N m or N)."""
         p.setJointMotorControlArray(
             body.uid, indices, p.VELOCITY_CONTROL, targetVelocities=speeds, forces=efforts, physicsClientId=self.client
         )
 
     def hold_joints(self, body: BulletBody, indices: Sequence[int], positions: Sequence[float], efforts: Sequence[float]) -> None:
-        """Lets motors hold ``positions`` (radians or metres) with at most ``efforts`` (N m or N)."""
+        """Sets position targets ``positions`` (radians or metres) of motors with effort limits ``efforts`` (N m or N)."""
         p.setJointMotorControlArray(
             body.uid, indices, p.POSITION_CONTROL, targetPositions=positions, forces=efforts, physicsClientId=self.client
         )
@@ -415,7 +418,7 @@ class Bullet:
 
 
 def _checked(uid: int, what: str) -> int:
-    """Returns the engine's number of something new; PhysicsError if there is none."""
+    """Returns the engine id of a new object; raises PhysicsError if the engine refused it."""
     if uid < 0:
         raise PhysicsError(f"PyBullet refused the collision shape of {what}")
     return int(uid)

@@ -1,4 +1,4 @@
-"""Cuts a concave mesh into convex parts with V-HACD, which comes with PyBullet and speaks OBJ files."""
+"""Convex decomposition of a concave mesh with V-HACD, which is part of PyBullet and uses OBJ files."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _VOXELS = 50_000
 def convex_parts(
     vertices: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Returns convex parts that together fill about what a mesh fills, each as vertices (V, 3) and triangles (F, 3); V-HACD makes them.
+    """Returns an approximate convex decomposition of a mesh by V-HACD, each part as vertices (V, 3) and triangles (F, 3).
 
     Args:
         vertices: (V, 3).
         triangles: (F, 3).
 
     Raises:
-        PhysicsError: it makes none.
+        PhysicsError: V-HACD returns no parts.
     """
     with tempfile.TemporaryDirectory(prefix="gibson_sim_parts_") as folder:
         whole, parts = Path(folder, "whole.obj"), Path(folder, "parts.obj")
@@ -35,5 +35,5 @@ def convex_parts(
             pybullet.vhacd(str(whole), str(parts), str(Path(folder, "log.txt")), resolution=_VOXELS)
         out = objects_of_obj(parts.read_bytes()) if parts.is_file() else []
     if not out:
-        raise PhysicsError(f"V-HACD makes no convex parts of a mesh with {len(triangles)} triangles; is it flat, or empty?")
+        raise PhysicsError(f"V-HACD returns no convex parts of a mesh with {len(triangles)} triangles; is it flat or empty?")
     return out

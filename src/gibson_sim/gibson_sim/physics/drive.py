@@ -1,4 +1,4 @@
-"""The drive of one robot in the engine: motors of wheels and steering, the servo of a base on rollers, wheel odometry."""
+"""The drive of one robot in the engine: wheel and steering motors, the servo of a base on rollers, wheel odometry."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from gibson_sim.robots.joints.control import ARRIVED, servo_speed
 from gibson_sim.types import NS_PER_S
 
 _SETTLING = 0.1
-"""Fraction of its error that a servo corrects in a step."""
+"""Fraction of the error that a servo corrects in a step."""
 _FLOOR = 0.5
-"""Least vertical component of the normal of a floor, 60 degrees: a wall gives wheels no grip."""
+"""Minimum vertical component of the normal of a floor, 60 degrees: walls give wheels no traction."""
 _G = 9.81
-"""Greatest acceleration by a slope, m/s^2."""
+"""Largest acceleration on a slope, m/s^2."""
 
 
 class DriveInWorld:
-    """Sets the motors of wheels and steering of one body, and adds up its odometry."""
+    """Controls the wheel and steering motors of one body, and integrates its odometry."""
 
     def __init__(self, drive: Drive, body: BodyInWorld, odometry: WheelOdometry) -> None:
         """Starts at rest.
@@ -40,14 +40,14 @@ class DriveInWorld:
         self._wheels = [body.engine_body.joint_indices[joint.name] for joint in drive.wheels]
         self._steering = [body.engine_body.joint_indices[joint.name] for joint in drive.steering]
         self._joints = self._wheels + self._steering
-        """Engine numbers of the joints."""
+        """Engine indices of the joints."""
         self._wheel_signs = [joint.sign for joint in drive.wheels]
         self._steering_signs = [joint.sign for joint in drive.steering]
         self._torques = [drive.wheel_torque] * len(self._wheels)
         self._angles = [0.0] * len(self._wheels)
         """Angles of the wheel joints after the last step, radians."""
         self._speeds: list[float] | None = None
-        """Target velocities of the wheel joints, rad/s; None = none was set yet."""
+        """Target velocities of the wheel joints, rad/s; None = not set yet."""
         self._steered = [0.0] * len(self._steering)
         """Angles of the steering joints after the last step, radians."""
         self._steering_targets = self._steered
@@ -69,45 +69,45 @@ class DriveInWorld:
         if any(speeds):
             bullet.drive_joints(body, self._wheels, speeds, self._torques)
         else:
-            # With target velocity 0, the wheel would creep by the solver's residual, 0.1 m in an hour.
+            # With target velocity 0, the wheels would creep by the solver's residual, 0.1 m per hour.
             bullet.hold_joints(body, self._wheels, self._angles, self._torques)
 
     def _steer(self, bullet: Bullet, angles: list[float], dt: float) -> None:
         """Moves the steering joints to ``angles``, radians, and holds them there."""
         body, torques = self._body.engine_body, [self._drive.steering_torque] * len(angles)
-        before, self._steering_targets = self._steering_targets, angles
-        if angles == before and max(abs(a - s) for a, s in zip(angles, self._steered, strict=True)) < ARRIVED:
+        last_targets, self._steering_targets = self._steering_targets, angles
+        if angles == last_targets and max(abs(a - s) for a, s in zip(angles, self._steered, strict=True)) < ARRIVED:
             if not self._holds_steering:
                 bullet.hold_joints(body, self._steering, angles, torques)
             self._holds_steering = True
             return
         self._holds_steering = False
         step_ns = round(dt * NS_PER_S)
-        speeds = [servo_speed(b, a, s, step_ns, math.inf) for b, a, s in zip(before, angles, self._steered, strict=True)]
+        speeds = [servo_speed(b, a, s, step_ns, math.inf) for b, a, s in zip(last_targets, angles, self._steered, strict=True)]
         bullet.drive_joints(body, self._steering, speeds, torques)
 
     def read(self, bullet: Bullet, stamp_ns: int, dt: float) -> None:
-        """Adds the turns of the wheels in the last step, of ``dt`` seconds, to the odometry; ``stamp_ns`` determines its noise."""
-        read = bullet.joint_angles(self._body.engine_body, self._joints)
-        angles, self._steered = read[: len(self._wheels)], read[len(self._wheels) :]
-        rolled = [(now - before) * sign for now, before, sign in zip(angles, self._angles, self._wheel_signs, strict=True)]
-        increments = self._drive.encoder_turns(rolled)
+        """Adds the rotation of the wheels in the last step, of ``dt`` seconds, to the odometry; ``stamp_ns`` determines its noise."""
+        positions = bullet.joint_angles(self._body.engine_body, self._joints)
+        angles, self._steered = positions[: len(self._wheels)], positions[len(self._wheels) :]
+        rotations = [(new - old) * sign for new, old, sign in zip(angles, self._angles, self._wheel_signs, strict=True)]
+        increments = self._drive.encoder_turns(rotations)
         self._angles = angles
         steering = [angle * sign for angle, sign in zip(self._steered, self._steering_signs, strict=True)]
         self.wheel_odometry.add(increments, steering, stamp_ns, dt)
 
 
 class _Servo:
-    """Moves a base at a velocity by as much force as friction gives its wheels, as if they had rollers."""
+    """Moves a base at a velocity with at most the force that friction of its wheels allows, as if they had rollers."""
 
     def __init__(self, servo: BaseServo, body: BodyInWorld, wheels: frozenset[int]) -> None:
         self._servo, self._body, self._wheels = servo, body, wheels
         self._mass, self._inertia = mass_and_inertia(body.model)
-        self._lost = [0.0, 0.0]
-        """Speed that a slope takes in a step, (x, y) m/s, added in advance: without it, a robot that stands would creep down."""
+        self._slope_loss = [0.0, 0.0]
+        """Velocity lost on a slope per step, (x, y) m/s, compensated in advance: without it, a robot at rest would creep downhill."""
 
     def push(self, bullet: Bullet, velocity: PlanarVelocity, dt: float) -> None:
-        """Changes the base's velocity in its plane in the next step, by at most what friction allows."""
+        """Changes the base's velocity in its plane in the next step, limited by friction."""
         pose, linear, angular = self._body.root_state(bullet)
         R_world_base = matrix_from_quat(pose.quat_xyzw)
         speed, spin = linear @ R_world_base, angular @ R_world_base
@@ -116,13 +116,13 @@ class _Servo:
         grip = self._servo.traction * load * dt
         change = [velocity.linear - float(speed[0]), velocity.lateral - float(speed[1])]
         for i in range(2):
-            self._lost[i] = min(max(self._lost[i] + _SETTLING * change[i], -_G * dt), _G * dt)
-            change[i] += self._lost[i]
-        size, most = math.hypot(*change), grip / self._mass
-        part = 1.0 if size <= most else most / size
-        most_spin = grip * self._servo.reach / self._inertia
-        speed += (change[0] * part, change[1] * part, 0.0)
-        spin[2] += min(max(velocity.angular - float(spin[2]), -most_spin), most_spin)
+            self._slope_loss[i] = min(max(self._slope_loss[i] + _SETTLING * change[i], -_G * dt), _G * dt)
+            change[i] += self._slope_loss[i]
+        size, limit = math.hypot(*change), grip / self._mass
+        scale = 1.0 if size <= limit else limit / size
+        spin_limit = grip * self._servo.reach / self._inertia
+        speed += (change[0] * scale, change[1] * scale, 0.0)
+        spin[2] += min(max(velocity.angular - float(spin[2]), -spin_limit), spin_limit)
         bullet.set_velocity(self._body.engine_body, pose.quat_xyzw, R_world_base @ speed, R_world_base @ spin)
 
 

@@ -1,6 +1,6 @@
-"""Imports PyBullet without output; no other file imports it.
+"""Imports PyBullet without output; no other module imports it.
 
-PyBullet writes its build date, and every warning of its file readers, straight to the file descriptors.
+PyBullet writes its build date, and every warning of its file readers, directly to the file descriptors.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Redirects what C code writes to stdout and stderr to the log, at DEBUG."""
+    """Redirects output of C code on stdout and stderr to the log, at DEBUG."""
     libc = ctypes.CDLL(None)
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(tempfile.TemporaryFile())

@@ -1,4 +1,4 @@
-"""Files for the engine: the temporary folder that holds them, OBJ text that the engine reads and writes, and meshes cut to its limits."""
+"""Files for the engine: a temporary folder, OBJ text that the engine reads and writes, and meshes split to its size limits."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 from gibson_sim.errors import MeshError
 
 _VERTEX_LIMIT = 131_000
-"""Vertices of one collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
+"""Maximum number of vertices of a collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
 _TRIANGLE_LIMIT = 174_000
-"""Triangles of one collision shape, for the same reason."""
+"""Maximum number of triangles of a collision shape, for the same reason."""
 _LISTED: dict[bytes, list[Any]] = {}
-"""Digest of an array -> what it holds, of all meshes that were ever given to the engine."""
+"""Digest of an array -> its content as a list, for all meshes ever given to the engine."""
 
 
 class EngineFiles:
-    """The files of one engine, in a folder of their own, which ``close`` deletes."""
+    """The files of one engine, in a temporary folder that ``close`` deletes."""
 
     def __init__(self) -> None:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
 
     @property
     def folder(self) -> Path:
-        """The folder; made when first used."""
+        """Temporary folder, created at first use."""
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="gibson_sim_physics_")
         return Path(self._folder.name)
@@ -43,13 +43,13 @@ class EngineFiles:
             self._folder = None
 
     def write_urdf(self, text: str) -> Path:
-        """Returns a file with the text; the next call overwrites it."""
+        """Writes a text to a file, which the next call overwrites, and returns its path."""
         path = self.folder / "body.urdf"
         path.write_text(text, encoding="utf-8")
         return path
 
     def copy_obj(self, path: str) -> Path:
-        """Returns a copy of an OBJ file with its shapes alone: the engine would also read its textures, and crash on wrong references.
+        """Copies only the shapes of an OBJ file and returns the copy: the engine would also read textures, and crash on invalid references.
 
         Raises:
             MeshError: the file cannot be read.
@@ -61,7 +61,7 @@ class EngineFiles:
         return self.write_obj(shapes_alone(text))
 
     def write_obj(self, text: bytes) -> Path:
-        """Returns an OBJ file with this text; equal texts share a file."""
+        """Writes an OBJ file and returns its path; equal texts share a file."""
         path = self.folder / f"{hashlib.sha256(text).hexdigest()[:32]}.obj"
         if not path.is_file():
             path.write_bytes(text)
@@ -69,19 +69,19 @@ class EngineFiles:
 
 
 def to_obj(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> str:
-    """Returns the text of an OBJ file that holds vertices, (V, 3), metres, exactly, and triangles, (T, 3), indices into them."""
+    """Returns the text of an OBJ file with vertices, (V, 3), metres, in full precision, and triangles, (T, 3), indices into them."""
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
     return "\n".join(lines) + "\n"
 
 
 def shapes_alone(text: bytes) -> bytes:
-    """Returns the vertices, objects and faces of an OBJ file, and nothing else that might crash the engine.
+    """Returns only the vertices, objects and faces of an OBJ file, since other content may crash the engine.
 
-    Corners are counted from 1 and have neither textures nor normals, whose references may be wrong. Faces are left out if they have fewer than three
-    corners, or name one that is not defined yet.
+    Vertex indices count from 1; references to texture coordinates and normals, which may be invalid, are removed. Faces are omitted if they have
+    fewer than three vertices, or reference an undefined one.
     """
-    vertices, objects = _parsed(text)
+    vertices, objects = _parse(text)
     lines = [b" ".join((b"v", *vertex)) for vertex in vertices]
     for each in objects:
         lines += [each.header] if each.header else []
@@ -91,7 +91,7 @@ def shapes_alone(text: bytes) -> bytes:
 
 def objects_of_obj(text: bytes) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
     """Returns vertices, (V, 3), and triangles, (T, 3), of each object with faces in an OBJ file of triangles."""
-    vertices, objects = _parsed(text)
+    vertices, objects = _parse(text)
     points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     out = []
     for faces in (each.faces for each in objects if each.faces):
@@ -105,13 +105,13 @@ class _Object:
     """One object or group of an OBJ file."""
 
     header: bytes = b""
-    """The line that begins it, such as ``o lid``; empty = faces before the first such line."""
+    """First line of the object, such as ``o lid``; empty = faces before the first such line."""
     faces: list[list[int]] = field(default_factory=list)
-    """Corners of each face, numbers of vertices from 1."""
+    """Vertex indices of each face, from 1."""
 
 
-def _parsed(text: bytes) -> tuple[list[list[bytes]], list[_Object]]:
-    """Returns the coordinates of the vertices of an OBJ file, three words each, and its objects, without what is wrong."""
+def _parse(text: bytes) -> tuple[list[list[bytes]], list[_Object]]:
+    """Returns the valid vertices of an OBJ file, three words each, and its objects with their valid faces."""
     vertices: list[list[bytes]] = []
     objects = [_Object()]
     for line in text.splitlines():
@@ -135,7 +135,7 @@ def _is_number(word: bytes) -> bool:
 
 
 def _corner(word: bytes, count: int) -> int:
-    """Returns the number of the vertex that a corner names, from 1; 0 if it is none of the ``count`` vertices so far."""
+    """Returns the vertex index, from 1, of a face element; 0 if it is not among the ``count`` vertices so far."""
     try:
         number = int(word.split(b"/", 1)[0])
     except ValueError:
@@ -147,7 +147,7 @@ def _corner(word: bytes, count: int) -> int:
 def mesh_pieces(
     vertices: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Yields (vertices, triangles) of pieces below the size limit, cut across the longest axis so that each is compact."""
+    """Yields (vertices, triangles) of pieces below the size limits, split along the longest axis so that each is compact."""
     if len(triangles) <= _TRIANGLE_LIMIT:
         used, corners = np.unique(triangles, return_inverse=True)
         if len(used) <= _VERTEX_LIMIT:
@@ -162,10 +162,10 @@ def mesh_pieces(
 
 
 def listed_for_ever(array: NDArray[Any]) -> list[Any]:
-    """Returns an array as a list, the same one for equal arrays.
+    """Returns an array as a list, the same object for equal arrays.
 
-    PyBullet keeps a reference to each vertex and index that ``createCollisionShape`` is given, for ever: with new lists, each new world and each
-    reset would cost their memory again.
+    PyBullet leaks a reference to each vertex and index passed to ``createCollisionShape``: with new lists, each new world and each reset would leak
+    their memory again.
     """
     key = hashlib.sha256(str((array.dtype, array.shape)).encode() + np.ascontiguousarray(array).tobytes()).digest()
     if key not in _LISTED:

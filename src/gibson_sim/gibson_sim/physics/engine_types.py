@@ -1,4 +1,4 @@
-"""What ``Bullet`` returns, and what it knows of its bodies. Pure values."""
+"""Results of ``Bullet``, and constant properties of its bodies. Pure values."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ class JointReading:
     """States of joints of one body, in the requested order."""
 
     positions: NDArray[np.float64]
-    """Radians or metres."""
+    """Positions, radians or metres."""
     velocities: NDArray[np.float64]
-    """rad/s or m/s."""
+    """Velocities, rad/s or m/s."""
     efforts: NDArray[np.float64]
-    """N m or N, of the motors."""
+    """Efforts of the motors, N m or N."""
 
 
 @dataclass(frozen=True, slots=True)
 class EngineContact:
-    """A point at which a body touches another one, or is closest to it."""
+    """A contact point or closest point of two bodies."""
 
     name: str
     """Name of the queried body."""
@@ -37,19 +37,19 @@ class EngineContact:
     other_link: int
     """Link of the other body; -1 = the root."""
     position: Vec3
-    """The point on the other body, world frame, metres."""
+    """Point on the other body, world frame, metres."""
     own_position: Vec3
-    """The point on the queried body, world frame, metres."""
+    """Point on the queried body, world frame, metres."""
     normal: Vec3
-    """From the other body to the queried one, unit vector, world frame."""
+    """Unit vector from the other body to the queried one, world frame."""
     force: float
-    """Along the normal, N."""
+    """Normal force, N."""
     distance: float
-    """Between the two surfaces, metres; negative = they overlap."""
+    """Distance between the two surfaces, metres; negative = they overlap."""
 
 
 class BulletBody:
-    """A body with joints in the engine, and what is constant about it."""
+    """A body with joints in the engine, and its constant properties."""
 
     __slots__ = (
         "joint_indices",
@@ -68,18 +68,18 @@ class BulletBody:
     ) -> None:
         self.uid = uid
         self.solver_bodies = solver_bodies
-        """Its number of solver bodies, see ``active_bodies``; NaN = unknown."""
+        """Number of solver bodies, see ``active_bodies``; NaN = unknown."""
         self.joint_indices = joint_indices
-        """Joint name -> the engine's number of the joint, and of the link below it."""
+        """Joint name -> engine index of the joint, and of the link below it."""
         self.link_count = len(inertial_poses) - 1
         """Number of links below the root."""
         self.link_indices = tuple(range(self.link_count))
         conjugates = [(-x, -y, -z, w) for _, (x, y, z, w) in inertial_poses]
         self.links_in_inertial = -rotate(np.array(conjugates), np.array([position for position, _ in inertial_poses]))
-        """(N, 3): origins of the link frames in their inertial frames (centre of mass, principal axes), which Bullet moves."""
+        """(N, 3): origins of the link frames in the inertial frames (centre of mass, principal axes) that Bullet moves, metres."""
         self.link_rotations = np.array([right_multiplication(quat) for quat in conjugates])
-        """(N, 4, 4): matrices that take a quaternion of the inertial frame to that of the link frame."""
+        """(N, 4, 4): matrices from a quaternion of the inertial frame to that of the link frame."""
         self.root_inertial = inertial_poses[0]
         """Position and quaternion of the root's inertial frame in the root link's frame."""
         self.ray_bit = 0
-        """Bit of the collision group that rays can ignore; 0 = rays always hit the body."""
+        """Bit of the collision group by which rays can ignore the body; 0 = rays always hit it."""

@@ -1,4 +1,4 @@
-"""From the inertial frames that an engine moves (centre of mass, principal axes) to link frames, for many bodies at once. Pure arithmetic."""
+"""Converts the inertial frames that an engine moves (centre of mass, principal axes) to link frames, for many bodies at once. Pure arithmetic."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _YZX, _ZXY = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def _rotation() -> F64:
-    """Returns (3, 3, 16): the factors of the products q_i q_j, row by row, in the rotation matrix of a unit quaternion q = (x, y, z, w)."""
+    """Returns the coefficients, (3, 3, 16), of the products q_i q_j, row by row, in the rotation matrix of a unit quaternion q = (x, y, z, w)."""
     x, y, z, w = range(4)
     out = np.zeros((3, 3, 4, 4))
     for i, j, k in ((x, y, z), (y, z, x), (z, x, y)):
@@ -37,17 +37,17 @@ class FrameTable:
     in_inertial: F64
     """(G, 3): origin of each group's frame in its inertial frame, metres."""
     group_rotations: F64
-    """(G, 4, 4): matrices that take a quaternion of the inertial frame to that of the group's frame."""
+    """(G, 4, 4): matrices from a quaternion of the inertial frame to that of the group's frame."""
     rows: NDArray[np.intp]
     """(N,): index of the group of each link."""
     offsets: F64
     """(N, 3): origin of each link in its group's frame, metres."""
     link_rotations: F64
-    """(N, 4, 4): matrices that take a quaternion of the group's frame to that of the link."""
+    """(N, 4, 4): matrices from a quaternion of the group's frame to that of the link."""
     _lever_arms: F64 = field(init=False)
-    """(16, N, 3): factors of the products q_i q_j of an inertial frame's quaternion in the vector from there to the link's origin."""
+    """(16, N, 3): coefficients of the products q_i q_j of an inertial frame's quaternion in the vector from its origin to the link's origin."""
     _rotations: F64 = field(init=False)
-    """(4, N, 4): factors of the components of an inertial frame's quaternion in the link's quaternion."""
+    """(4, N, 4): coefficients of the components of an inertial frame's quaternion in the link's quaternion."""
 
     def __post_init__(self) -> None:
         group_rotations = self.group_rotations[self.rows]
@@ -59,7 +59,7 @@ class FrameTable:
 
     @staticmethod
     def joined(tables: Sequence[FrameTable]) -> FrameTable:
-        """Returns one table of all these bodies, one after the other."""
+        """Concatenates tables of several bodies."""
         starts = np.cumsum([0, *(len(table.in_inertial) for table in tables)])
         return FrameTable(
             np.concatenate([np.zeros((0, 3)), *(table.in_inertial for table in tables)]),
@@ -91,8 +91,8 @@ class FrameTable:
         """Returns positions (N, 3), quaternions (N, 4) and twists (N, 6) of all links, world frame.
 
         Args:
-            raw: As for ``groups``.
-            loops: Whether to use compiled loops instead of NumPy; the results are equal to the bit.
+            raw: See ``groups``.
+            loops: Use compiled loops instead of NumPy; the results are bit-identical.
         """
         if loops:
             return _links(raw, self.rows, self._lever_arms, self._rotations)
@@ -107,7 +107,7 @@ class FrameTable:
 
 @compiled
 def _links(raw: F64, rows: NDArray[np.intp], arms: F64, rotations: F64) -> tuple[F64, F64, F64]:
-    """Returns what ``FrameTable.links`` computes in NumPy."""
+    """Computes ``FrameTable.links``."""
     count = len(rows)
     positions, quats, twists = np.empty((count, 3)), np.empty((count, 4)), np.empty((count, 6))
     for i in range(count):

@@ -1,4 +1,4 @@
-"""The motors of one body's joints: from joint commands to motor setpoints in each step."""
+"""The joint motors of one body: convert joint commands to motor setpoints in each step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HOLD_EFFORT = 100.0
 
 
 class JointMotors:
-    """Motors that obey joint commands within the limits of their joints."""
+    """Motors that execute joint commands within the limits of their joints."""
 
     def __init__(
         self,
@@ -25,13 +25,13 @@ class JointMotors:
         others: Sequence[str] = (),
         efforts: Mapping[str, float] | None = None,
     ) -> None:
-        """Commands nothing yet.
+        """Starts without commands.
 
         Args:
             body: The body, loaded.
             joints: Joints with motors.
-            others: Joints that something else commands, for error messages.
-            efforts: Lower effort limits of joints, N m or N, unless a command gives one.
+            others: Joints controlled by other components, for error messages.
+            efforts: Default effort limits of joints, N m or N, instead of those of the URDF.
         """
         self._body = body
         self._control = JointControl(joints, others)
@@ -40,23 +40,23 @@ class JointMotors:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the joints that obey commands, in the order of the URDF."""
+        """Names of the joints with motors, in the order of the URDF."""
         return self._control.names
 
     def setpoint(self, name: str, now_ns: int) -> float | None:
-        """Returns the setpoint of a joint by its trajectory, radians or metres; None = it follows none (any more)."""
+        """Returns the setpoint of a joint in its trajectory, radians or metres; None = no trajectory, or a finished one."""
         return self._control.setpoint(name, now_ns)
 
     @property
     def active(self) -> bool:
-        """Whether anything may change in the next step."""
+        """Whether any setpoint may change in the next step."""
         return bool(self._control.active)
 
     def command(self, bullet: Bullet, command: JointCommand, now_ns: int) -> None:
-        """Applies ``command`` from the next step on; joints that it does not name keep their commands.
+        """Applies ``command`` from the next step on; other joints keep their commands.
 
         Raises:
-            CommandError: a joint is unknown, a value exceeds a limit, or the trajectory is over; nothing has changed then.
+            CommandError: a joint is unknown, a value exceeds a limit, or the trajectory is over; no command has changed then.
         """
         names = self._control.names
         positions: dict[str, float] = {}
@@ -68,7 +68,7 @@ class JointMotors:
         self._control.command(command, now_ns, positions, velocities)
 
     def stop(self, bullet: Bullet, now_ns: int) -> None:
-        """Stops joints that move where they are."""
+        """Stops moving joints at their current positions."""
         if self._control.names:
             self.command(bullet, JointTrajectory((), ()), now_ns)
 
@@ -83,22 +83,22 @@ class JointMotors:
         if targets.speeds:
             driven = [self._with_friction(name, speed, targets.efforts.get(name)) for name, speed in targets.speeds.items()]
             bullet.drive_joints(
-                self._body, self._indices(targets.speeds), [speed for speed, _ in driven], [most for _, most in driven]
+                self._body, self._indices(targets.speeds), [speed for speed, _ in driven], [effort for _, effort in driven]
             )
         if targets.held:
             self.hold(bullet, targets.held, targets.efforts)
 
     def hold(self, bullet: Bullet, positions: Mapping[str, float], limits: Mapping[str, float] | None = None) -> None:
-        """Lets motors hold joints at positions, radians or metres, with at most ``limits`` (N m or N) where they are given."""
+        """Holds joints at positions, radians or metres, with the effort limits ``limits`` (N m or N) where given."""
         efforts = [(limits or {}).get(name, self._efforts[name]) for name in positions]
         bullet.hold_joints(self._body, self._indices(positions), list(positions.values()), efforts)
 
     def _with_friction(self, name: str, speed: float, effort: float | None) -> tuple[float, float]:
-        """Returns speed and effort limit of a motor, less the joint's friction if ``effort`` was set; friction holds a joint that less pushes."""
+        """Returns speed and effort limit of a motor, less the joint's friction if ``effort`` is set; if friction is larger, it holds the joint."""
         if effort is None:
             return speed, self._efforts[name]
-        left = effort - self._friction[name]
-        return (speed, left) if left > 0.0 else (0.0, -left)
+        net = effort - self._friction[name]
+        return (speed, net) if net > 0.0 else (0.0, -net)
 
     def _indices(self, names: Iterable[str]) -> list[int]:
         return [self._body.joint_indices[name] for name in names]

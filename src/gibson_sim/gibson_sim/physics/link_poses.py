@@ -1,8 +1,8 @@
-"""Poses of the links of all bodies, read from the engine once for each requested state.
+"""Poses of the links of all bodies, read from the engine once per requested state.
 
-A sleeping body is not read again until it may have woken. If the engine counts exactly the solver bodies of the bodies known to be active, no
-other body was active; if it counts others, all bodies are read. With too many bodies for the engine to count, the sleeping ones are checked for
-velocities of exactly 0.
+A sleeping body is not read again until it may have woken. If the engine reports exactly the solver bodies of the bodies known to be active, no
+other body was active; otherwise all bodies are read. With too many bodies for the engine's report, the sleeping ones are checked for velocities of
+exactly 0.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from gibson_sim.physics.frames import F64, FrameTable
 from gibson_sim.types import Pose, SceneState, Vec3
 
 _READ_ALL_EVERY = 16
-"""Number of reads after which all bodies are read, and those that have fallen asleep are found."""
+"""Number of reads after which all bodies are read, to find bodies that have fallen asleep."""
 _NAP_S = 1.0
 """Simulation time, s, in which no body can wake, move and fall asleep again: Bullet waits for 2 s."""
 
 
 class LinkPoses:
-    """Reads states, and keeps the last one until a body moves."""
+    """Reads states, and caches the last one until time passes or a body is moved."""
 
     def __init__(self, bullet: Bullet) -> None:
         self._bullet = bullet
@@ -35,40 +35,40 @@ class LinkPoses:
         self.links: tuple[str, ...] = ()
         """Names ``<body>/<link>`` of all links, body by body, the roots first."""
         self._last: SceneState | None = None
-        """The state read last; None = any body may have been moved since."""
+        """State read last; None = any body may have been moved since."""
         self._reads, self._unread_s = 0, 0.0
-        """Number of reads, and simulation time since the last one, s."""
+        """Number of reads, and simulation time since the last read, s."""
         self._all: _Selection | None = None
-        """All bodies; None = to be made, since they changed."""
+        """All bodies; None = outdated, since bodies were added or removed."""
         self._asleep: list[int] = []
-        """Indices of the bodies that sleep and have been read since they fell asleep."""
+        """Indices of the sleeping bodies that have been read since they fell asleep."""
         self._active: _Selection | None = None
         """All other bodies; None = no body is known to sleep."""
 
     def change_bodies(self, bodies: tuple[BodyInWorld, ...], new_links: tuple[str, ...] = ()) -> None:
-        """Changes the bodies; ``new_links`` are those of a body that was added last, so that adding thousands is fast."""
+        """Sets the bodies; ``new_links`` are the links of a body appended last, so that adding thousands of bodies is fast."""
         self._bodies = bodies
         self.links = self.links + new_links if new_links else tuple(link for body in bodies for link in body.full_links)
         self._all = None
         self.forget()
 
     def pass_time(self, seconds: float) -> None:
-        """Invalidates the state after steps of so much simulation time."""
+        """Invalidates the state after ``seconds`` of simulation time."""
         self._state = None
         self._unread_s += seconds
 
     def forget(self) -> None:
-        """Invalidates everything read so far: a body was moved."""
+        """Invalidates all states read so far, since a body was moved."""
         self._state = self._last = None
 
     def state(self, stamp_ns: int, step: int, revision: int) -> SceneState:
-        """Returns the poses of all links now; its arrays are read-only and do not change later."""
+        """Returns the current poses of all links; the arrays are read-only and do not change later."""
         if self._state is None:
             self._state = self._last = SceneState(stamp_ns, step, revision, self.links, *_read_only(self._read()))
         return self._state
 
     def state_of(self, body: BodyInWorld, stamp_ns: int, step: int, revision: int) -> SceneState:
-        """Returns the poses of at least the links of one body now."""
+        """Returns the current poses of at least the links of one body."""
         if self._state is not None:
             return self._state
         arrays = body.table.links(self._bullet.raw_states(body.engine_body))
@@ -76,47 +76,47 @@ class LinkPoses:
 
     def _read(self) -> tuple[F64, F64, F64]:
         """Returns positions, quaternions and twists of all links."""
-        before, self._reads = self._last, self._reads + 1
+        last, self._reads = self._last, self._reads + 1
         passed, self._unread_s = self._unread_s, 0.0
         active, steps = self._bullet.active_bodies.pop_peak()
         if self._all is None:
             self._all = _Selection(self._bodies, range(len(self._bodies)))
-        if before is None or passed > _NAP_S or self._reads % _READ_ALL_EVERY == 0:
-            return self._read_all(before if passed else None)
+        if last is None or passed > _NAP_S or self._reads % _READ_ALL_EVERY == 0:
+            return self._read_all(last if passed else None)
         if self._active is None:
             return self._all.links(self._bullet)
-        found = self._active.links(self._bullet)
-        if active != self._active.solver_bodies(found[2], steps):
+        read = self._active.links(self._bullet)
+        if active != self._active.solver_bodies(read[2], steps):
             if active < math.inf:
-                return self._read_all(before)
+                return self._read_all(last)
             at_rest = self._bullet.at_rest([self._bodies[i].engine_body for i in self._asleep])
             if not all(at_rest):
                 self._set_asleep([i for i, rests in zip(self._asleep, at_rest, strict=True) if rests])
                 return self._all.links(self._bullet)
-        positions, quats, twists = before.positions.copy(), before.quats_xyzw.copy(), before.twists.copy()
+        positions, quats, twists = last.positions.copy(), last.quats_xyzw.copy(), last.twists.copy()
         rows = self._active.rows
-        positions[rows], quats[rows], twists[rows] = found
+        positions[rows], quats[rows], twists[rows] = read
         return positions, quats, twists
 
-    def _read_all(self, before: SceneState | None) -> tuple[F64, F64, F64]:
-        """Reads all bodies, and finds those that have slept since the state ``before``; None = none is known to sleep."""
-        assert self._all is not None, "_read makes it first"
-        found = self._all.links(self._bullet)
-        self._set_asleep([] if before is None else self._at_rest(before, found))
-        return found
+    def _read_all(self, last: SceneState | None) -> tuple[F64, F64, F64]:
+        """Reads all bodies, and finds those that have slept since the state ``last``; None = no body is known to sleep."""
+        assert self._all is not None, "_read creates it first"
+        read = self._all.links(self._bullet)
+        self._set_asleep([] if last is None else self._at_rest(last, read))
+        return read
 
     def _set_asleep(self, asleep: list[int]) -> None:
-        """Sets which bodies sleep, by their indices."""
+        """Sets the sleeping bodies, by index."""
         if asleep != self._asleep or not asleep:
             self._asleep = asleep
             others = [i for i in range(len(self._bodies)) if i not in asleep]
             self._active = _Selection(self._bodies, others) if asleep else None
 
-    def _at_rest(self, before: SceneState, found: tuple[F64, F64, F64]) -> list[int]:
-        """Returns the indices of the bodies that have equal poses in both reads, and velocities of exactly 0."""
-        positions, quats, twists = found
-        moves = (before.positions != positions).any(axis=1) | (before.quats_xyzw != quats).any(axis=1) | twists.any(axis=1)
-        assert self._all is not None, "_read makes it first"
+    def _at_rest(self, last: SceneState, read: tuple[F64, F64, F64]) -> list[int]:
+        """Returns the indices of the bodies with equal poses in both reads and velocities of exactly 0."""
+        positions, quats, twists = read
+        moves = (last.positions != positions).any(axis=1) | (last.quats_xyzw != quats).any(axis=1) | twists.any(axis=1)
+        assert self._all is not None, "_read creates it first"
         return np.flatnonzero(~self._all.of_bodies(moves)).tolist() if self._bodies else []
 
 
@@ -127,39 +127,39 @@ def _read_only(arrays: tuple[F64, F64, F64]) -> tuple[F64, F64, F64]:
 
 
 class _Selection:
-    """Some of the bodies of a world, read together."""
+    """A selection of the bodies of a world, read together."""
 
-    def __init__(self, bodies: Sequence[BodyInWorld], chosen: Sequence[int]) -> None:
-        """Chooses bodies by their indices."""
+    def __init__(self, bodies: Sequence[BodyInWorld], selected: Sequence[int]) -> None:
+        """Selects bodies by their indices."""
         ends = np.cumsum([0, *(len(body.links) for body in bodies)]).tolist()
-        rows = [row for i in chosen for row in range(ends[i], ends[i + 1])]
-        in_a_row = bool(rows) and rows[-1] - rows[0] == len(rows) - 1
-        self.rows = slice(rows[0], rows[-1] + 1) if in_a_row else np.array(rows, dtype=np.intp)
-        """Rows of the chosen bodies' links among the links of all."""
-        self._bodies = tuple(bodies[i] for i in chosen)
+        rows = [row for i in selected for row in range(ends[i], ends[i + 1])]
+        contiguous = bool(rows) and rows[-1] - rows[0] == len(rows) - 1
+        self.rows = slice(rows[0], rows[-1] + 1) if contiguous else np.array(rows, dtype=np.intp)
+        """Rows of the selected bodies' links among all links."""
+        self._bodies = tuple(bodies[i] for i in selected)
         self._table = FrameTable.joined([body.table for body in self._bodies])
         self._first_rows = np.cumsum([0, *(len(body.links) for body in self._bodies)])[:-1]
         self._solver_bodies = np.array([body.engine_body.solver_bodies for body in self._bodies], dtype=np.float64)
-        """Of each body; NaN = unknown."""
+        """Number of solver bodies of each body; NaN = unknown."""
         self._sleepless = np.array([not body.sleeps for body in self._bodies], dtype=np.bool_)
-        """Of each body, whether it never sleeps."""
+        """Whether each body never sleeps."""
         self._sleepless_count, self._all_sleepless = (
             float(self._solver_bodies[self._sleepless].sum()),
             bool(self._sleepless.all()),
         )
 
     def links(self, bullet: Bullet) -> tuple[F64, F64, F64]:
-        """Returns positions, quaternions and twists of the chosen bodies' links."""
+        """Returns positions, quaternions and twists of the selected bodies' links."""
         return self._table.links(bullet.raw_states(*(body.engine_body for body in self._bodies)))
 
     def of_bodies(self, of_links: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Returns for each chosen body whether ``of_links`` is true for any of its links."""
+        """Returns for each selected body whether ``of_links`` is true for any of its links."""
         return np.asarray(np.logical_or.reduceat(of_links, self._first_rows))
 
     def solver_bodies(self, twists: F64, steps: int) -> float:
-        """Returns how many solver bodies were certainly active in each of the last steps, by the twists of the links after the last one.
+        """Returns the number of solver bodies that were certainly active in each of the last steps, from the twists after the last step.
 
-        A body that moves was active in that step; a body that never sleeps, in all of them.
+        A moving body was active in the last step; a body that never sleeps was active in all steps.
         """
         if steps != 1 or self._all_sleepless:
             return self._sleepless_count

@@ -1,6 +1,6 @@
-"""Links of other bodies near a point or a link.
+"""Proximity queries: links of other bodies near a point or a link.
 
-``neighbours`` finds those near a link; ``Reach`` those near a point that can move, which a gripper could grasp.
+``neighbours`` finds links near a link; ``Reach`` finds movable links near a point, which a gripper could grasp.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gibson_sim.robots.joints.grasping import Candidate
 from gibson_sim.types import Vec3
 
 _RADIUS = 1e-3
-"""Radius of the sphere that stands for a point, metres: the engine has no points."""
+"""Radius of the sphere that represents a point, metres: the engine has no point shapes."""
 
 
 class Reach:
@@ -24,23 +24,23 @@ class Reach:
     def __init__(self, bullet: Bullet) -> None:
         self._bullet = bullet
         self._sphere: int | None = None
-        """The shape that stands for a point; made when first needed."""
+        """Index of the sphere shape that represents a point; created when first needed."""
 
     def movable_links(self, point: Vec3, others: Iterable[BodyInWorld], radius: float) -> list[Candidate]:
-        """Returns the links that can move and whose surfaces are within ``radius`` metres of a point, each once.
+        """Returns the movable links whose surfaces are within ``radius`` metres of a point, each once.
 
         Args:
-            point: World frame, metres.
-            others: Bodies to search. Links that a static body has fixed to its root cannot move.
-            radius: Greatest distance from the point to a surface, metres; inside of a shape it is negative.
+            point: Position, world frame, metres.
+            others: Bodies to search; links fixed to the root of a static body are not movable.
+            radius: Largest distance from the point to a surface, metres; distances are negative inside a shape.
         """
         client = self._bullet.client
         if self._sphere is None:
             (self._sphere,) = self._bullet.sphere_shape(_RADIUS)
         nearest: dict[tuple[str, str], float] = {}
         for other in others:
-            # All of them, not only those whose bounding boxes overlap: the engine finds these in a step, and there may have been none.
-            found = p.getClosestPoints(
+            # All bodies, not only those with overlapping bounding boxes: the engine updates overlaps in steps, and none may have run.
+            gaps = p.getClosestPoints(
                 other.engine_body.uid,
                 -1,
                 radius,
@@ -48,7 +48,7 @@ class Reach:
                 collisionShapePositionB=point,
                 physicsClientId=client,
             )
-            for gap in found or ():
+            for gap in gaps or ():
                 row, distance = gap[3], gap[8] + _RADIUS
                 if distance <= radius and not (other.static and row == -1):
                     key = other.name, other.link_at(self._bullet, row, gap[5])
@@ -64,21 +64,21 @@ class Neighbour:
     """Name of a robot or a body."""
     link: str
     distance: float
-    """Between the two surfaces, metres; negative = they overlap."""
+    """Distance between the two surfaces, metres; negative = they overlap."""
     point: Vec3
-    """The closest point on its surface, world frame, metres."""
+    """Closest point on the neighbour, world frame, metres."""
     own_point: Vec3
-    """The closest point on the queried link, world frame, metres."""
+    """Closest point on the queried link, world frame, metres."""
     normal: Vec3
-    """From ``point`` to ``own_point``, unit vector, world frame."""
+    """Unit vector from ``point`` to ``own_point``, world frame."""
 
 
 def neighbours(
     bullet: Bullet, body: BodyInWorld, link: str, others: Iterable[BodyInWorld], radius: float
 ) -> tuple[Neighbour, ...]:
-    """Returns the links of ``others`` within ``radius`` metres of a link's surface, the nearest first, each once.
+    """Returns the links of ``others`` within ``radius`` metres of a link's surface, nearest first, each once.
 
-    Links without a collision shape have no surface. If ``link`` has none, the whole rigid group counts to which fixed joints join it.
+    Links without a collision shape have no surface. If ``link`` has none, its whole rigid group (links joined by fixed joints) counts.
     """
     row = body.row_of_link(link) - 1
     has_shape = bool(body.model.link(link).collisions)
@@ -93,4 +93,4 @@ def neighbours(
             key = other.name, other.link_at(bullet, gap.other_link, gap.position)
             if key not in nearest or gap.distance < nearest[key].distance:
                 nearest[key] = Neighbour(*key, gap.distance, gap.position, gap.own_position, gap.normal)
-    return tuple(sorted(nearest.values(), key=lambda found: (found.distance, found.body, found.link)))
+    return tuple(sorted(nearest.values(), key=lambda neighbour: (neighbour.distance, neighbour.body, neighbour.link)))

@@ -1,4 +1,4 @@
-"""One robot in the engine: its drive, and the joints of its arms."""
+"""One robot in the engine: its drive and the joints of its arms."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class RobotInWorld(BodyInWorld):
             if drive.servo is not None:
                 model = without_friction(model, [joint.name for joint in drive.wheels])
         self._motorised = tuple(joint for joint in model.joints if joint.name not in self._driven and joint.has_motor)
-        """Joints that ``command_joints`` moves."""
+        """Joints that accept ``command_joints``."""
         super().__init__(bullet, spec.name, model, spec.start, static=spec.fixed_base, concave=False, joints=spec.joints)
 
     def load(self, bullet: Bullet) -> None:
-        """Puts the robot at its start, at rest, without commands and with zero odometry."""
+        """Loads the robot at its start, at rest, without commands and with zero odometry."""
         super().load(bullet)
         bullet.let_rays_ignore(self.engine_body, self.name)
         self.command: VelocityCommand | None = None
@@ -44,7 +44,7 @@ class RobotInWorld(BodyInWorld):
         self._step_start_ns = 0
 
     def _set_up_motors(self, bullet: Bullet) -> None:
-        """Lets motors hold the joints at their start positions; joints of the drive, and continuous joints of no arm, turn freely."""
+        """Holds the joints at their initial positions; joints of the drive, and continuous joints outside of arms, rotate freely."""
         grippers = [arm.gripper for arm in self.spec.manipulators if arm.gripper is not None]
         efforts = {joint: gripper.max_effort for gripper in grippers for joint in gripper.joints}
         motors = JointMotors(self.engine_body, self._motorised, self._driven, efforts)
@@ -55,7 +55,7 @@ class RobotInWorld(BodyInWorld):
         self.motors = motors
 
     def forget_commands(self, bullet: Bullet, now_ns: int) -> None:
-        """Stops the robot, until the next command."""
+        """Stops the robot until the next command."""
         self.command = None
         super().forget_commands(bullet, now_ns)
 
@@ -67,6 +67,6 @@ class RobotInWorld(BodyInWorld):
         self.actuate_joints(bullet, now_ns, dt)
 
     def read_wheels(self, bullet: Bullet, dt: float) -> None:
-        """Adds the turns of the wheels in the last step to the odometry."""
+        """Adds the rotation of the wheels in the last step to the odometry."""
         if self.drive is not None:
             self.drive.read(bullet, self._step_start_ns, dt)

@@ -45,22 +45,22 @@ class ToolServo:
         """Applies a velocity from the next step on, until it is stale.
 
         Raises:
-            CommandError: its frame is no link of the robot.
+            CommandError: the frame is not a link of the robot.
         """
         if twist.frame and twist.frame not in self._robot.links:
             raise CommandError(
-                f"servo of arm {quoted(self._arm.name)}: frame {quoted(twist.frame)} is no link of robot {quoted(self._robot.name)}; "
+                f"servo of arm {quoted(self._arm.name)}: frame {quoted(twist.frame)} is not a link of robot {quoted(self._robot.name)}; "
                 f"use its base, {quoted(self._robot.links[0])}, its tool, {quoted(self._arm.tip_link)}, or another of its links"
             )
         self._twist, self._until_ns = twist, now_ns + round(self._settings.timeout * NS_PER_S)
         self._next_ns = now_ns
 
     def stop(self) -> None:
-        """Drops the command; joints keep what they were last commanded."""
+        """Drops the command; joints keep their last commands."""
         self._twist = None
 
     def before_step(self, now_ns: int, step_ns: int) -> None:
-        """Sets the joint velocities if they are due at ``now_ns``; stops the arm if its command is stale."""
+        """Sets the joint velocities if an update is due at ``now_ns``; stops the arm if its command is stale."""
         if self._twist is None:
             return
         names = self._chain.names

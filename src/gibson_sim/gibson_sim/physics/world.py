@@ -1,7 +1,7 @@
-"""The physics of one scene: commands and time go in, poses come out. No ROS, no OpenGL; PyBullet only through ``bullet``.
+"""The physics of one scene: advances robots and bodies by commands and time. No ROS, no OpenGL; PyBullet only through ``bullet``.
 
-``PhysicsWorld`` holds the static shapes of a scene and its robots and bodies; ``arms`` has what belongs to arms, ``attachments`` joints between any
-two links. Below it: how static shapes get into the engine, and the check that no robot starts inside of something.
+``PhysicsWorld`` holds the static shapes of a scene, its robots and its bodies; its ``arms`` control arms, its ``attachments`` join any two links. The
+rest of the module adds static shapes to the engine, and checks that no robot starts inside another object.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from gibson_sim.types import NS_PER_S, Contact, JointStates, Odometry, Pose, Sce
 GROUND = "ground"
 """Name of the infinite ground plane in contacts."""
 _MAX_START_DEPTH = 0.05
-"""Depth to which a robot may reach into something at its start, metres: the engine pushes it out gently."""
+"""Largest penetration depth of a robot at its start, metres: the engine pushes it out gently."""
 _SMALLEST_AREA = 1e-12
-"""Area below which triangles are dropped, m^2: their normals are noise, and so are Bullet's contacts with them."""
+"""Area below which triangles are dropped, m^2: their normals, and Bullet's contacts with them, are noise."""
 
 logger = logging.getLogger(__name__)
 
@@ -55,7 +55,7 @@ logger = logging.getLogger(__name__)
 class PhysicsWorld:
     """Robots and bodies among static shapes, in steps of exactly ``1 / step_hz`` seconds.
 
-    Equal scenes and equal calls give bit-equal states. Not thread-safe. Close it, or use it in a ``with`` statement.
+    Equal scenes and equal calls give bit-identical states. Not thread-safe. Close it, or use it in a ``with`` statement.
     """
 
     def __init__(
@@ -73,15 +73,15 @@ class PhysicsWorld:
         Args:
             scene: Static shapes, robots and bodies.
             step_hz: Physics steps per second of simulation time.
-            cmd_vel_timeout: Seconds of simulation time after which a velocity command is stale.
+            cmd_vel_timeout: Simulation time after which a velocity command is stale, s.
             seed: Seed of the errors of wheel odometry.
-            grasping: How grippers hold; None = the defaults of ``GraspSettings``.
-            servo: How tools move at a velocity; None = the defaults of ``ServoSettings``.
+            grasping: Settings of grippers; None = the defaults of ``GraspSettings``.
+            servo: Settings of Cartesian servos; None = the defaults of ``ServoSettings``.
 
         Raises:
-            ConfigError: a setting is impossible.
-            RobotError: a robot cannot be used.
-            PhysicsError: the engine refuses, or a robot would start inside of something (StartError).
+            ConfigError: a setting is out of range.
+            RobotError: a robot cannot be loaded.
+            PhysicsError: the engine reports an error, or a robot would start inside another object (StartError).
         """
         if not 1 <= step_hz <= 100_000 or step_hz != int(step_hz):
             raise ConfigError(f"step_hz is {step_hz}, must be a whole number from 1 to 100000")
@@ -92,9 +92,9 @@ class PhysicsWorld:
             raise PhysicsError(f"robots and bodies are named {', '.join(names)}; names must differ")
         self.step_hz = int(step_hz)
         self.warnings: list[str] = []
-        """What was left out or replaced, one line each."""
+        """One line for each item that was omitted or replaced."""
         self.scene = scene
-        """The scene as it is now; its ``revision`` grows when a robot or a body is added or removed."""
+        """Current scene; its ``revision`` increases when a robot or a body is added or removed."""
         self._timeout_ns = round(cmd_vel_timeout * NS_PER_S)
         self._seed = seed
         self._step_count = 0
@@ -106,7 +106,7 @@ class PhysicsWorld:
             self.warnings += _add_static_shapes(self._bullet, scene)
             self._robots: dict[str, RobotInWorld] = {}
             self._bodies: dict[str, BodyInWorld] = {}
-            """Those that are no robots."""
+            """Bodies that are not robots."""
             self.arms = ArmsInWorld(
                 self._bullet, self._robots, self._all, self.attachments,
                 state_of=self.state_of, now_ns=lambda: self.stamp_ns,
@@ -114,7 +114,7 @@ class PhysicsWorld:
             )  # fmt: skip
             """Arms of the robots: grasping, tool poses, inverse kinematics, servos."""
             self._commanded: dict[str, BodyInWorld] = {}
-            """Those of ``_bodies`` whose joints have had a command."""
+            """Bodies whose joints have been commanded."""
             for robot in scene.robots:
                 self._load_robot(robot)
             for body in scene.bodies:
@@ -122,7 +122,7 @@ class PhysicsWorld:
             self._poses.change_bodies(self._all())
             _check_starts(self._bullet, self._robots.values(), self._all())
             for first in self._all()[:1]:
-                first.link_position(self._bullet, first.links[0])  # compiles the loops of poses now, not while time runs
+                first.link_position(self._bullet, first.links[0])  # compiles the loops of poses before time runs
         except BaseException:
             self._bullet.close()
             raise
@@ -135,7 +135,7 @@ class PhysicsWorld:
 
     @property
     def links(self) -> tuple[str, ...]:
-        """Names ``<body>/<link>`` of all links, in the order of ``names``, the roots first."""
+        """Names ``<body>/<link>`` of all links, in the order of ``names``, the root of each body first."""
         return self._poses.links
 
     @property
@@ -147,8 +147,8 @@ class PhysicsWorld:
         """Adds a robot or a body at its start, from the next step on.
 
         Raises:
-            PhysicsError: the name is taken, the engine refuses, or a robot would start inside of something (StartError).
-            RobotError: the robot, or a joint of the body, cannot be used.
+            PhysicsError: the name is in use, the engine reports an error, or a robot would start inside another object (StartError).
+            RobotError: the robot, or a joint of the body, cannot be loaded.
         """
         if spec.name in self._robots or spec.name in self._bodies:
             raise PhysicsError(f"the name {quoted(spec.name)} is taken; choose another one")
@@ -165,13 +165,13 @@ class PhysicsWorld:
         self._changed(robots=(*self.scene.robots, spec))
 
     def repopulate(self, robots: Iterable[RobotSpec], bodies: Iterable[BodySpec]) -> None:
-        """Removes all robots and bodies, and adds these in their order.
+        """Replaces all robots and bodies by the given ones, in order.
 
-        The engine begins anew: with the robots before the bodies, what follows is bit-equal to what follows in a new world of this scene, whatever
-        was there before. Bodies that are removed and added one by one leave traces, see ``bullet``.
+        The engine is reset, so later steps are bit-identical to those of a new world of this scene, regardless of its history. Bodies that are
+        removed and added one by one leave traces in the engine's state, see ``bullet``.
 
         Raises:
-            GibsonSimError: one of them cannot be added; those before it have been.
+            GibsonSimError: a robot or body cannot be added; the ones before it have been added.
         """
         self.attachments.detach_all()
         self._bullet.reset()
@@ -186,7 +186,7 @@ class PhysicsWorld:
             self.add(spec)
 
     def remove(self, name: str) -> None:
-        """Removes a robot or a body; PhysicsError if there is none of this name."""
+        """Removes a robot or a body; raises PhysicsError if the name is unknown."""
         body = self._body(name)
         self.attachments.detach_all(name)
         self._bullet.remove(body.engine_body)
@@ -200,7 +200,7 @@ class PhysicsWorld:
         )
 
     def set_state(self, name: str, pose: Pose | None = None, linear: Vec3 | None = None, angular: Vec3 | None = None) -> None:
-        """Moves a robot or a body, or changes its velocity; what is None stays. Wheel odometry does not notice, as in reality.
+        """Sets the pose or velocity of a robot or a body; None = unchanged. Wheel odometry does not change, as in reality.
 
         Args:
             name: Name of the robot or body.
@@ -209,7 +209,7 @@ class PhysicsWorld:
             angular: Angular velocity, rad/s, world frame.
 
         Raises:
-            PhysicsError: there is none of this name.
+            PhysicsError: the name is unknown.
         """
         self._body(name).set_state(self._bullet, pose, linear, angular)
         self.attachments.wake_beside(name)
@@ -225,25 +225,25 @@ class PhysicsWorld:
         return linear, angular
 
     def is_static(self, name: str) -> bool:
-        """Returns whether only ``set_state`` moves its root."""
+        """Returns whether only ``set_state`` moves the root of a robot or a body."""
         return self._body(name).static
 
     def bounds(self, name: str, T_frame_world: Mat4 | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns the lowest and the highest corner, each (3,), metres, of the bounding box of its collision shapes.
+        """Returns the minimum and maximum corner, each (3,), metres, of the bounding box of the collision shapes.
 
         Args:
             name: Name of the robot or body.
-            T_frame_world: (4, 4): to the frame in which the box is axis-aligned and whose coordinates are returned; None = the world.
+            T_frame_world: (4, 4), transform to the frame in which the box is axis-aligned and its corners are given; None = the world.
         """
         return self._body(name).bounds(self._bullet, np.eye(4) if T_frame_world is None else T_frame_world)
 
     # Contacts
 
     def contacts(self, name: str | None = None) -> tuple[Contact, ...]:
-        """Returns the points of contact in the last step.
+        """Returns the contact points of the last step.
 
         Args:
-            name: A robot or a body, which is then always ``a``; None = all contacts, each point once, static shapes always ``b``.
+            name: Robot or body, which is always ``a`` in the result; None = all contacts, each point once, static shapes always ``b``.
         """
         return tuple(
             self._contact(point) for point in self._bullet.contacts(None if name is None else self._body(name).engine_body)
@@ -255,26 +255,26 @@ class PhysicsWorld:
         return Contact(point.name, link_a, point.other, link_b, point.position, point.normal, point.force, point.distance)
 
     def collisions(self, robot: str) -> CollisionCount:
-        """Returns the collisions of a robot since the first such call, or since a reset; ``robots.collision_count`` says what counts.
+        """Returns the collisions of a robot since the first call, or since a reset; ``robots.collision_count`` defines what counts.
 
         Raises:
-            CommandError: there is no such robot.
+            CommandError: the robot does not exist.
         """
         return self.arms.collision_count(robot, self.step_hz)
 
     def touching(self, robot: str) -> tuple[str, ...]:
-        """Returns the names of what a robot collided with in the last step, sorted; ``robots.collision_count`` says what counts.
+        """Returns the sorted names of the objects that a robot collided with in the last step; ``robots.collision_count`` defines what counts.
 
         Raises:
-            CommandError: there is no such robot.
+            CommandError: the robot does not exist.
         """
         return self.arms.touching(robot)
 
     def neighbours(self, name: str, link: str, radius: float) -> tuple[Neighbour, ...]:
-        """Returns the links of other robots and bodies within ``radius`` metres of a link's surface, the nearest first.
+        """Returns the links of other robots and bodies within ``radius`` metres of a link's surface, nearest first.
 
         Raises:
-            PhysicsError: there is no such body or link.
+            PhysicsError: the body or link does not exist.
         """
         return neighbours(self._bullet, self._body(name), link, self._all(), radius)
 
@@ -282,30 +282,32 @@ class PhysicsWorld:
 
     @property
     def step_count(self) -> int:
-        """Steps since load."""
+        """Number of steps since loading."""
         return self._step_count
 
     @property
     def stamp_ns(self) -> int:
-        """Simulation time since load, nanoseconds, rounded down once: it does not drift."""
+        """Simulation time since loading, ns, rounded down once, so that it does not drift."""
         return self._step_count * NS_PER_S // self.step_hz
 
     def command(self, robot: str, command: VelocityCommand) -> None:
-        """Applies ``command`` from the next step on, until ``cmd_vel_timeout`` after its stamp; a stamp in the future means now.
+        """Applies ``command`` from the next step on, until ``cmd_vel_timeout`` after its stamp; a stamp in the future counts as now.
 
         Raises:
-            CommandError: there is no such robot, or it has no drive.
+            CommandError: the robot does not exist or has no drive.
         """
         driven = self._robot(robot)
         if driven.drive is None:
-            raise CommandError(f"robot {quoted(robot)} has no drive and cannot obey a velocity; give it one in its robot.yaml")
+            raise CommandError(
+                f"robot {quoted(robot)} has no drive, so it accepts no velocity commands; add one to its robot.yaml"
+            )
         driven.command = command if command.stamp_ns <= self.stamp_ns else replace(command, stamp_ns=self.stamp_ns)
 
     def command_joints(self, name: str, command: JointCommand) -> None:
         """Moves joints of a robot (not those of its drive), or of a body, from the next step on.
 
         Raises:
-            CommandError: there is no such robot, body or joint, or the joint cannot move as commanded.
+            CommandError: the robot, body or joint does not exist, or the joint cannot execute the command.
         """
         if name in self._robots:
             self.arms.command_joints(name, command)
@@ -315,7 +317,7 @@ class PhysicsWorld:
         self._commanded[name] = body
 
     def step(self, steps: int = 1) -> None:
-        """Advances by ``steps``; limits and time-outs of the commands count in every one."""
+        """Advances by ``steps``; limits and timeouts of commands are applied in every step."""
         bullet, dt = self._bullet, 1.0 / self.step_hz
         step_ns = round(dt * NS_PER_S)
         robots, commanded = tuple(self._robots.values()), tuple(self._commanded.values())
@@ -336,12 +338,12 @@ class PhysicsWorld:
             self.arms.after_step(self.stamp_ns)
 
     def reset(self, *, keep_time: bool = False) -> None:
-        """Puts all robots and bodies back to where they started, at rest, with zero odometry and no command.
+        """Moves all robots and bodies back to their starts, at rest, with zero odometry and no command.
 
-        The engine begins anew: what follows is bit-equal to what follows in a new world of ``scene``.
+        The engine is reset: later steps are bit-identical to those of a new world of ``scene``.
 
         Args:
-            keep_time: Let simulation time run on (many ROS nodes cannot handle a jump back); False = it is 0 again.
+            keep_time: Keep the simulation time (many ROS nodes cannot handle a jump back); False = reset it to 0.
         """
         self.attachments.detach_all()
         self._commanded.clear()
@@ -354,7 +356,7 @@ class PhysicsWorld:
             self._step_count = 0
 
     def set_step_count(self, steps: int) -> None:
-        """Sets the time to that of ``steps`` steps after load; nothing moves. Commands are dropped, since their stamps are of the old time.
+        """Sets the time to ``steps`` steps after loading; nothing moves. Drops all commands, since their stamps refer to the old time.
 
         Raises:
             PhysicsError: ``steps`` is negative.
@@ -370,12 +372,12 @@ class PhysicsWorld:
     # State
 
     def state(self) -> SceneState:
-        """Returns the poses of all links now; its arrays are read-only and do not change later."""
+        """Returns the current poses of all links; the arrays are read-only and do not change later."""
         self._bullet.check_open()
         return self._poses.state(self.stamp_ns, self._step_count, self.scene.revision)
 
     def state_of(self, name: str) -> SceneState:
-        """Returns the poses of at least the links of one robot or body now: what a sensor needs between two ticks."""
+        """Returns the current poses of at least the links of one robot or body, for sensors that measure between two ticks."""
         return self._poses.state_of(self._body(name), self.stamp_ns, self._step_count, self.scene.revision)
 
     def base_pose(self, robot: str) -> Pose:
@@ -387,19 +389,19 @@ class PhysicsWorld:
         return link_twist(self.state(), self._base(robot))
 
     def joint_states(self, name: str) -> JointStates:
-        """Returns the moving joints of a robot or a body in the order of its URDF; continuous joints count their turns."""
+        """Returns the states of the movable joints in the order of the URDF; positions of continuous joints count full turns."""
         body = self._jointed(name)
         indices = [body.engine_body.joint_indices[joint] for joint in body.moving_joints]
         reading = self._bullet.joint_reading(body.engine_body, indices)
         return JointStates(body.moving_joints, reading.positions, reading.velocities, reading.efforts)
 
     def joint_setpoints(self, robot: str) -> dict[str, float]:
-        """Returns the present setpoints of the joints that follow a trajectory, radians or metres; other joints are missing."""
+        """Returns the current setpoints of joints that follow a trajectory, radians or metres; other joints are missing."""
         motors, now_ns = self._body(robot).motors, self.stamp_ns
         if motors is None:
             return {}
-        found = {name: motors.setpoint(name, now_ns) for name in motors.names}
-        return {name: position for name, position in found.items() if position is not None}
+        setpoints = {name: motors.setpoint(name, now_ns) for name in motors.names}
+        return {name: position for name, position in setpoints.items() if position is not None}
 
     def solve_chain(
         self,
@@ -411,29 +413,29 @@ class PhysicsWorld:
         rest: Mapping[str, float] | None = None,
         orientation: bool = True,
     ) -> ChainSolution:
-        """Returns the joints that bring a link to ``target`` (T_world_link), the root standing where it is; nothing moves.
+        """Solves the inverse kinematics of a link for ``target`` (T_world_link) at the current pose of the root; nothing moves.
 
         Args:
             name: Name of a robot or body.
             link: Link at the end of the chain.
-            target: Pose that the link is to reach.
+            target: Target pose of the link.
             joints: Joints that may move; None = all between the root and the link.
-            rest: Joint positions to approach as far as the target leaves joints free.
+            rest: Rest positions that redundant joints approach.
             orientation: Whether the orientation of the target counts.
 
         Raises:
-            PhysicsError: there is no such body.
-            CommandError: there is no such link or joint, or no joint moves the link.
+            PhysicsError: the body does not exist.
+            CommandError: the link or a joint does not exist, or no joint moves the link.
         """
         return self._body(name).solve_chain(self._bullet, link, target, joints=joints, rest=rest, orientation=orientation)
 
     def odometry(self, robot: str) -> Odometry:
-        """Returns the wheel odometry; a robot without a drive stays at the origin of its odom frame."""
+        """Returns the wheel odometry; for a robot without a drive, the origin of its odom frame."""
         drive = self._robot(robot).drive
         return drive.wheel_odometry.odometry if drive is not None else Odometry(0.0, 0.0, 0.0, 0.0, 0.0)
 
     def odometry_covariance(self, robot: str) -> OdometryCovariance:
-        """Returns the covariance of ``odometry``, by the errors in the robot's file."""
+        """Returns the covariance of ``odometry``, from the error model in the robot's file."""
         drive = self._robot(robot).drive
         return drive.wheel_odometry.covariance() if drive is not None else OdometryErrors(WheelOdometrySpec()).covariance()
 
@@ -446,7 +448,7 @@ class PhysicsWorld:
             origins: (N, 3), world frame, metres.
             directions: (N, 3), world frame, unit vectors.
             range_max: Length of the rays, metres.
-            ignore: Robot that rays pass through, since it does not see itself.
+            ignore: Robot that rays pass through, e.g. the one that carries the sensor.
         """
         starts = np.asarray(origins, dtype=np.float64).reshape(-1, 3)
         ends = starts + np.asarray(directions, dtype=np.float64).reshape(-1, 3) * range_max
@@ -476,12 +478,10 @@ class PhysicsWorld:
         return self._body(name)
 
     def _body(self, name: str) -> BodyInWorld:
-        """Returns a robot or a body, or raises PhysicsError."""
+        """Returns a robot or a body; raises PhysicsError if the name is unknown."""
         body = self._robots.get(name) or self._bodies.get(name)
         if body is None:
-            raise PhysicsError(
-                f"nothing in this world is called {quoted(name)}; there are: {', '.join(self.names) or 'no bodies'}"
-            )
+            raise PhysicsError(f"no robot or body {quoted(name)} in this world; known: {', '.join(self.names) or 'none'}")
         return body
 
     def _all(self) -> tuple[BodyInWorld, ...]:
@@ -499,7 +499,7 @@ class PhysicsWorld:
         self.warnings += body.warnings
 
     def _changed(self, new_links: tuple[str, ...] = (), **changes: Any) -> None:
-        """Changes the scene; ``new_links`` are those of a body that was added last, so that adding thousands is fast."""
+        """Updates the scene; ``new_links`` are the links of a body appended last, so that adding thousands of bodies is fast."""
         self.scene = replace(self.scene, revision=self.scene.revision + 1, **changes)
         self._poses.change_bodies(self._all(), new_links)
 
@@ -510,7 +510,7 @@ class PhysicsWorld:
 
 
 def _add_static_shapes(bullet: Bullet, scene: SceneSpec) -> list[str]:
-    """Adds the ground and all collision shapes of a scene to the engine; returns what was left out, one line each."""
+    """Adds the ground and all collision shapes of a scene to the engine; returns one line for each omitted shape."""
     warnings: list[str] = []
     if scene.ground_z is not None:
         bullet.add_static(bullet.plane_shape(), Pose((0.0, 0.0, scene.ground_z)), GROUND)
@@ -524,7 +524,7 @@ def _add_static_shapes(bullet: Bullet, scene: SceneSpec) -> list[str]:
 
 
 def _static_shape(bullet: Bullet, loader: MeshLoader, shape: Shape, name: str, warnings: list[str]) -> Sequence[int]:
-    """Returns the engine numbers of a shape; none, with a warning, for a mesh without collision geometry."""
+    """Returns the shape indices of a shape; an empty list, with a warning, for a mesh without collision geometry."""
     if shape.kind == "box":
         return bullet.box_shape(shape.size)
     if shape.kind == "sphere":
@@ -536,32 +536,32 @@ def _static_shape(bullet: Bullet, loader: MeshLoader, shape: Shape, name: str, w
     except MeshError as error:
         warnings.append(f"collision {quoted(name)} is left out: {error}")
         return []
-    sound = sound_triangles(vertices, triangles)
-    if not len(sound):
+    valid = non_degenerate_triangles(vertices, triangles)
+    if not len(valid):
         warnings.append(f"collision {quoted(name)} is left out: {shape.mesh} has no triangle with an area")
         return []
-    return bullet.mesh_shape(vertices, sound, shape.mesh)
+    return bullet.mesh_shape(vertices, valid, shape.mesh)
 
 
-def sound_triangles(vertices: NDArray[np.float64], triangles: ArrayLike) -> NDArray[np.int64]:
-    """Returns those of ``triangles``, (T, 3), that have an area and finite corners."""
+def non_degenerate_triangles(vertices: NDArray[np.float64], triangles: ArrayLike) -> NDArray[np.int64]:
+    """Returns the non-degenerate triangles with finite vertices, of ``triangles``, (T, 3)."""
     corners: NDArray[np.int64] = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     a, b, c = (vertices[corners[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    sound: NDArray[np.int64] = corners[np.isfinite(area) & (area > _SMALLEST_AREA)]
-    return sound
+    valid: NDArray[np.int64] = corners[np.isfinite(area) & (area > _SMALLEST_AREA)]
+    return valid
 
 
 def _check_starts(bullet: Bullet, robots: Iterable[BodyInWorld], others: Collection[BodyInWorld]) -> None:
-    """Checks that robots, just put at their starts, are not inside of something.
+    """Checks that robots at their starts are not inside other objects.
 
     Args:
         bullet: The engine.
-        robots: The robots to check.
-        others: All robots and bodies; static shapes count in any case.
+        robots: Robots to check.
+        others: All robots and bodies; static shapes are always checked.
 
     Raises:
-        StartError: a robot reaches deeper into something than is allowed. What it stands on does not count.
+        StartError: a robot penetrates an object deeper than allowed. Surfaces that it stands on are ignored.
     """
     for robot in robots:
         x, y, z = robot.root_state(bullet)[0].position
