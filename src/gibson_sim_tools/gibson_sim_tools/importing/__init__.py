@@ -1,1 +1,1 @@
-"""Imports third-party scenes into our format, checks them, and repairs what can be repaired."""
+"""Imports third-party scenes, checks them, and repairs faults."""

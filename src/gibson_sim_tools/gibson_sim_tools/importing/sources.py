@@ -143,7 +143,7 @@ def _habitat_mesh(folder: Path) -> Path | None:
 
 
 def _habitat_semantics(mesh: Path) -> tuple[Path, ...]:
-    """Returns the labelled mesh and the class list beside a Habitat mesh; empty if there are none."""
+    """Returns the labelled mesh and the class list beside a Habitat mesh; empty without them."""
     stem = os.path.splitext(mesh.name)[0].removesuffix(".basis")
     folder = mesh.parent
     for labelled, lists in (

@@ -120,6 +120,6 @@ def _sample_texture(image: NDArray[np.uint8], uv: F64) -> F64:
 def _quats_from_normals(normals: F64) -> NDArray[np.float32]:
     """Returns unit quaternions, (N, 4), xyzw, that rotate the z axis to unit normals (N, 3)."""
     x, y, z = normals.T
-    quats = np.stack([-y, x, np.zeros_like(x), 1.0 + z], axis=1)  # the half-way rotation
+    quats = np.stack([-y, x, np.zeros_like(x), 1.0 + z], axis=1)  # rotation from z to the normal, not yet normalised
     quats[z < -0.999999] = (1.0, 0.0, 0.0, 0.0)
     return np.asarray(quats / np.linalg.norm(quats, axis=1, keepdims=True), dtype=np.float32)

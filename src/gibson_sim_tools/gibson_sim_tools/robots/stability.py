@@ -194,7 +194,7 @@ def footprint(model: UrdfModel, T_base_links: Mapping[str, Mat4], points: MeshPo
 
 
 def base_links(T_world_base: Mat4, T_world_links: Mapping[str, Mat4]) -> dict[str, Mat4]:
-    """Returns T_base_link, (4, 4), of every link; the base frame here is level, and its z = 0 is the floor."""
+    """Returns T_base_link, (4, 4), of every link, in a level base frame with z = 0 on the floor."""
     yaw = math.atan2(T_world_base[1, 0], T_world_base[0, 0])
     c, s = math.cos(yaw), math.sin(yaw)
     T_base_world = np.eye(4)

@@ -187,6 +187,6 @@ def test_a_new_pose_replaces_the_old_one_in_any_layout(tmp_path: Path, before: s
 def test_a_pose_that_others_refer_to_is_not_replaced(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_text(text := "visual: {splats: r.ply, pose: &p {xyz: [1, 2, 3]}}\nother: *p\n")
-    with pytest.raises(SceneError, match=r"cannot be replaced; write instead: visual: \{splats: r\.ply"):
+    with pytest.raises(SceneError, match=r"cannot be edited automatically; replace it by: visual: \{splats: r\.ply"):
         write_visual(file, SplatsSpec("/r.ply"))
     assert file.read_text() == text

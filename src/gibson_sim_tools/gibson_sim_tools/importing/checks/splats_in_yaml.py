@@ -51,7 +51,7 @@ def write_visual(file: Path, spec: SplatsSpec) -> str:
     except TextError:
         is_equivalent = False
     if not is_equivalent:
-        raise SceneError(f"{file}: `{_KEY}` is written in a way that cannot be replaced; write instead: {line}")
+        raise SceneError(f"{file}: `{_KEY}` has a layout that cannot be edited automatically; replace it by: {line}")
     write_file(file, changed_text)
     return line
 

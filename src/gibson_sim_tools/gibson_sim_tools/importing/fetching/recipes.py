@@ -117,7 +117,7 @@ def load_recipe(name: str) -> Recipe:
     )  # fmt: skip
     _check_paths(path, [*(file.path for file in recipe.files), *([recipe.scene] if recipe.scene else [])])
     if recipe.unpack and len(recipe.files) != 1:
-        raise SceneError(f"{path}: unpack is for one archive, but there are {len(recipe.files)} files")
+        raise SceneError(f"{path}: unpack requires a single archive, but files has {len(recipe.files)} entries")
     return recipe
 
 
