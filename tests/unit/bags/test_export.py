@@ -311,7 +311,7 @@ def test_every_second_image_keeps_its_depth(drive: Path, tmp_path: Path) -> None
 
 
 def test_a_lens_that_nerfstudio_lacks_is_an_error(drives: Drives, tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="'rational_polynomial' with 8 numbers, which nerfstudio has not"):
+    with pytest.raises(RecordError, match="'rational_polynomial' with 8 numbers, which nerfstudio does not support"):
         export_bag(drives.write(model="rational_polynomial", d=8), "nerfstudio", tmp_path / "out")
 
 

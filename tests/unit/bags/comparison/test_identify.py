@@ -13,7 +13,7 @@ from gibson_sim.bags.comparison.identify import (
     counted_velocities,
     fit_drive,
     limited_velocities,
-    wanted_velocities,
+    commanded_velocities,
     with_limits,
 )
 from gibson_sim.bags.comparison.parameters import CERTAINTY
@@ -37,7 +37,7 @@ def odometry(
     spec: DifferentialSpec, gains: tuple[float, float] = (1.0, 1.0), ticks: int = 0, commands: Commands = COMMANDS
 ) -> PlanarTrack:
     """Returns odometry at 60 Hz of a robot with this drive, delay included, whose odometry has the scales ``gains``."""
-    t, linear, angular = wanted_velocities(commands, 0.0, SCRIPT.duration, HZ, 0.5)
+    t, linear, angular = commanded_velocities(commands, 0.0, SCRIPT.duration, HZ, 0.5)
     linear, angular = limited_velocities(spec, linear, angular, 1.0 / HZ)
     if ticks:
         free = with_limits(spec, 1e9, 1e9)

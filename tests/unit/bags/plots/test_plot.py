@@ -109,7 +109,7 @@ def test_odometry_is_laid_onto_the_true_start(write_run: Callable[..., Path]) ->
 def test_bag_of_a_real_robot_needs_neither_truth_nor_map(write_run: Callable[..., Path], tmp_path: Path) -> None:
     folder = write_run(truth=False, floor=False, begin=WALL_NS)
     run = load_run(folder)
-    assert (run.begin, run.end, run.floor, run.tells_contacts) == (0.0, pytest.approx(2.0), None, False)
+    assert (run.begin, run.end, run.floor, run.has_contact_topics) == (0.0, pytest.approx(2.0), None, False)
     assert run.time_label == "seconds since 2026-11-25 04:20:56 UTC"
     assert run.robots[0].reference is run.robots[0].odometry
     paths = write_plots(folder, [tmp_path / "made" / "real.png", tmp_path / "real.html"])

@@ -20,7 +20,7 @@ from gibson_sim.bags.comparison.recorded_drive import F64, PlanarTrack, Recorded
 from gibson_sim.bags.comparison.response import AxisResponse
 from gibson_sim.robots.spec import RobotSpec
 
-FARTHEST, FARTHEST_TURN = 0.15, np.radians(6.0)
+MAX_MATCH_DISTANCE, MAX_MATCH_ANGLE = 0.15, np.radians(6.0)
 """Maximum distance between matching poses, m and rad."""
 SCAN_MATCH = 0.05, math.radians(3.0)
 """Maximum distance between poses whose scans are compared, m and rad."""
@@ -92,7 +92,7 @@ class MatchedPictures:
 def compare(
     real: RecordedDrive, sim: RecordedDrive, robot: RobotSpec, assumptions: Assumptions | None = None, align: str = "auto"
 ) -> Comparison:
-    """Returns how two recordings differ.
+    """Compares two recordings.
 
     Args:
         real: Recording of the real robot.
@@ -110,12 +110,16 @@ def compare(
     residuals = None if poses is None else _scans(real, sim, *poses)
     rows = [*_velocity(a, b), *_drift(a, b), *_imu(a, b), *_lidar(a, b, residuals), *_pictures_rows(pictures), *_timing(a, b)]
     hints = {parameter.name: parameter for parameter in parameters if parameter.changes}
-    notes = [f"{side}: {note}" for side, one in (("real", a), ("sim", b)) for note in (*one.recording.notes, *_stuck(one))]
+    notes = [
+        f"{side}: {note}"
+        for side, measured in (("real", a), ("sim", b))
+        for note in (*measured.recording.notes, *_stuck(measured))
+    ]
     return Comparison(a, b, tuple(_with_hint(row, hints) for row in rows), parameters, pictures, residuals, how, tuple(notes))
 
 
 def _stuck(measured: Measurements) -> Iterator[str]:
-    """Yields a note if the robot did not move as its wheels did."""
+    """Yields a note if wheel odometry and ground truth disagree for some time."""
     if measured.drift is not None and measured.drift.stuck_s > 0.0:
         yield (
             f"for {measured.drift.stuck_s:.0f} s wheels and truth disagree by far: the robot was stuck or pushed there; "
@@ -128,8 +132,8 @@ def _with_hint(row: Row, hints: dict[str, Parameter]) -> Row:
     names = row.change.split()
     if not names or not all("." in name and name.replace(".", "").replace("_", "").isalnum() for name in names):
         return row
-    told = [f"{name}: {hints[name].old:.4g} → {hints[name].new:.4g}" for name in names if name in hints]
-    return Row(row.group, row.name, row.unit, row.real, row.sim, row.notable, ", ".join(told))
+    changes = [f"{name}: {hints[name].old:.4g} → {hints[name].new:.4g}" for name in names if name in hints]
+    return Row(row.group, row.name, row.unit, row.real, row.sim, row.notable, ", ".join(changes))
 
 
 def _velocity(a: Measurements, b: Measurements) -> Iterator[Row]:
@@ -209,7 +213,7 @@ def _imu(a: Measurements, b: Measurements) -> Iterator[Row]:
 
 def _instabilities(real: NoiseModel, sim: NoiseModel) -> tuple[float, float]:
     """Returns both bias instabilities; NaN if the recording ends before the curve rises, so that only an upper limit is known."""
-    first, second = (one.instability if one.reaches else math.nan for one in (real, sim))
+    first, second = (model.instability if model.reaches else math.nan for model in (real, sim))
     return first, second
 
 
@@ -225,10 +229,10 @@ def _lidar(a: Measurements, b: Measurements, matched: Residuals | None) -> Itera
         yield Row("lidar", "beams a turn", "", real.beams, sim.beams, 1.0, "lidar.beams")
     x, y = a.map_residuals, b.map_residuals
     if x is not None and y is not None:
-        group, there = "lidar against the map", "obstacles that are not on the map"
+        group, unmapped = "lidar against the map", "obstacles that are not on the map"
         yield Row(group, "bias", "mm", 1e3 * x.bias, 1e3 * y.bias, 10.0, "calibrate the real lidar, or its mount")
         yield Row(group, "spread", "mm", 1e3 * x.spread, 1e3 * y.spread, 10.0, "lidar.range_noise")
-        yield Row(group, "beams off by 0.3 m", "%", 100 * x.outliers, 100 * y.outliers, 5.0, there)
+        yield Row(group, "beams off by 0.3 m", "%", 100 * x.outliers, 100 * y.outliers, 5.0, unmapped)
     if matched is not None:
         group = "lidar at the same poses"
         yield Row(
@@ -259,23 +263,26 @@ def _pictures_rows(matched: MatchedPictures | None) -> Iterator[Row]:
 
 def _timing(a: Measurements, b: Measurements) -> Iterator[Row]:
     for role in TIMED_ROLES:
-        real, sim = ((one.timing or {}).get(one.recording.topics.get(role, "")) for one in (a, b))
+        real, sim = ((measured.timing or {}).get(measured.recording.topics.get(role, "")) for measured in (a, b))
         if real is None or sim is None or not (real.rate_hz and sim.rate_hz):
             continue
         group = f"topic {a.recording.topics[role]}"
         hint = {"imu": "imu.rate_hz", "scan": "lidar.rate_hz", "odom": "--publish-hz of the run"}.get(role, "")
         yield Row(group, "rate", "Hz", real.rate_hz, sim.rate_hz, 0.05 * real.rate_hz, hint)
         yield Row(group, "jitter", "ms", real.jitter_ms, sim.jitter_ms, max(50.0 / real.rate_hz, 1.0))
-        late = "log time minus stamp: means something where both are of one clock"
-        yield Row(group, "latency", "ms", real.latency_ms, sim.latency_ms, 20.0, late)
+        clock_hint = "log time minus stamp: only meaningful if both use one clock"
+        yield Row(group, "latency", "ms", real.latency_ms, sim.latency_ms, 20.0, clock_hint)
         yield Row(group, "missing messages", "%", 100.0 * real.missing_part, 100.0 * sim.missing_part, 1.0)
 
 
 def _aligned(real: RecordedDrive, sim: RecordedDrive, align: str) -> tuple[str, tuple[PlanarTrack, PlanarTrack] | None]:
-    """Returns how the poses were aligned, and both tracks in one frame; None = one has no poses."""
+    """Returns a description of the alignment, and both tracks in one frame; None = a recording has no poses."""
     both_mapped = real.truth is not None and sim.truth is not None
     on_map = align == "map" or (align == "auto" and both_mapped)
-    tracks = [one.truth if on_map and one.truth is not None else one.odometry or one.truth for one in (real, sim)]
+    tracks = [
+        recording.truth if on_map and recording.truth is not None else recording.odometry or recording.truth
+        for recording in (real, sim)
+    ]
     if tracks[0] is None or tracks[1] is None:
         return "no poses: nothing is compared at the same ones", None
     if on_map:
@@ -295,7 +302,7 @@ def _pictures(real: RecordedDrive, sim: RecordedDrive, a: PlanarTrack, b: Planar
     pairs = matches(np.stack(a.at(real.pictures.t), axis=1), np.stack(b.at(sim.pictures.t), axis=1))
     if not len(pairs):
         return None
-    means = [one.statistics[pairs[:, i]].mean(axis=0) for i, one in enumerate((real.pictures, sim.pictures))]
+    means = [recording.statistics[pairs[:, i]].mean(axis=0) for i, recording in enumerate((real.pictures, sim.pictures))]
     distances = [histogram_distance(real.pictures.histograms[i], sim.pictures.histograms[j]) for i, j in pairs]
     return MatchedPictures(pairs, means[0], means[1], float(np.mean(distances)))
 
@@ -314,24 +321,24 @@ def from_start(poses: F64, start: F64) -> F64:
     return np.stack([dx * cos + dy * sin, dy * cos - dx * sin, poses[:, 2] - start[2]], axis=1)
 
 
-def matches(a: F64, b: F64, farthest: float = FARTHEST, farthest_turn: float = FARTHEST_TURN) -> NDArray[np.intp]:
+def matches(a: F64, b: F64, max_distance: float = MAX_MATCH_DISTANCE, max_angle: float = MAX_MATCH_ANGLE) -> NDArray[np.intp]:
     """Returns (K, 2): rows of ``a`` with the nearest row of ``b``, no row of ``b`` twice, in the order of ``a``.
 
     Args:
         a: (N, 3), x, y (m), yaw (rad); rows with NaN match nothing.
         b: (M, 3), in the same frame.
-        farthest: Largest distance, metres.
-        farthest_turn: Largest difference of headings, radians.
+        max_distance: Maximum distance, metres.
+        max_angle: Maximum heading difference, radians.
     """
     rows_a, rows_b = (np.flatnonzero(np.isfinite(poses).all(axis=1)) for poses in (a, b))
     if not len(rows_a) or not len(rows_b):
         return np.zeros((0, 2), dtype=np.intp)
-    # A rotation by farthest_turn weighs as much as a translation by farthest.
-    lever = farthest / (2 * np.sin(farthest_turn / 2))
+    # A rotation by max_angle weighs as much as a translation by max_distance.
+    lever = max_distance / (2 * np.sin(max_angle / 2))
     points = [
         np.stack([p[:, 0], p[:, 1], lever * np.cos(p[:, 2]), lever * np.sin(p[:, 2])], axis=1) for p in (a[rows_a], b[rows_b])
     ]
-    distance, nearest = cKDTree(points[1]).query(points[0], distance_upper_bound=1.5 * farthest)
+    distance, nearest = cKDTree(points[1]).query(points[0], distance_upper_bound=1.5 * max_distance)
     pairs, used = [], set()
     for i in np.argsort(distance, kind="stable"):
         if np.isfinite(distance[i]) and nearest[i] not in used:

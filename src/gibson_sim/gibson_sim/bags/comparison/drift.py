@@ -14,7 +14,7 @@ from gibson_sim.bags.comparison.recorded_drive import F64, PlanarTrack
 LENGTHS = (1.0, 2.0, 5.0, 10.0)
 """Lengths of path over which relative errors are measured, metres."""
 _STUCK, _STUCK_TURN = 0.05, 0.1
-"""Disagreement of wheels and truth within a second from which on the robot counts as stuck, m and rad."""
+"""Minimum disagreement of wheels and truth within a second for a robot that counts as stuck, m and rad."""
 _LEAST_PATH, _LEAST_TURN = 1.0, math.radians(90.0)
 """Motion below which scales are undetermined, m and rad."""
 _LEAST_SEGMENTS = 4
@@ -94,31 +94,31 @@ class MotionSegments:
 
 
 def common(odometry: PlanarTrack, truth: PlanarTrack) -> tuple[F64, PlanarTrack, PlanarTrack] | None:
-    """Returns the times of the truth within both tracks, and both tracks at them; None = they do not overlap."""
+    """Returns the times of the truth within both tracks, and both tracks sampled at these times; None = they do not overlap."""
     t = truth.t[(truth.t >= odometry.t[0]) & (truth.t <= odometry.t[-1])]
     if len(t) < 3:
         return None
     x, y, yaw = odometry.at(t)
     nothing = np.full(len(t), np.nan)
-    kept = np.searchsorted(truth.t, t)
-    true = PlanarTrack(t, truth.x[kept], truth.y[kept], truth.yaw[kept], nothing, nothing)
+    rows = np.searchsorted(truth.t, t)
+    true = PlanarTrack(t, truth.x[rows], truth.y[rows], truth.yaw[rows], nothing, nothing)
     return t, PlanarTrack(t, x, y, yaw, nothing, nothing), true
 
 
 def motion_segments(odometry: PlanarTrack, truth: PlanarTrack, seconds: float = 1.0) -> MotionSegments | None:
     """Returns the motions over consecutive time segments; None = the tracks do not overlap."""
-    found = common(odometry, truth)
-    if found is None:
+    overlap = common(odometry, truth)
+    if overlap is None:
         return None
-    t, odom, true = found
+    t, odom, true = overlap
     rows = np.searchsorted(t, np.arange(t[0], t[-1] + 1e-9, seconds))
     rows = np.unique(np.minimum(rows, len(t) - 1))
     a, b = rows[:-1], rows[1:]
     steps = np.concatenate([[0.0], np.cumsum(np.abs(_advances(true)))])
     sweeps = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(true.yaw)))])
-    ways = [np.concatenate([[0.0], np.cumsum(_advances(track))]) for track in (odom, true)]
+    advances = [np.concatenate([[0.0], np.cumsum(_advances(track))]) for track in (odom, true)]
     return MotionSegments(
-        t[a], ways[0][b] - ways[0][a], odom.yaw[b] - odom.yaw[a], ways[1][b] - ways[1][a], true.yaw[b] - true.yaw[a],
+        t[a], advances[0][b] - advances[0][a], odom.yaw[b] - odom.yaw[a], advances[1][b] - advances[1][a], true.yaw[b] - true.yaw[a],
         steps[b] - steps[a], sweeps[b] - sweeps[a],
     )  # fmt: skip
 
@@ -131,18 +131,18 @@ def _advances(track: PlanarTrack) -> F64:
 
 def scales(pieces: MotionSegments) -> Scales:
     """Returns the ratios of odometry to the truth; segments in which the robot was stuck or pushed do not count."""
-    goes, turns = pieces.path.sum() >= _LEAST_PATH, pieces.swept.sum() >= _LEAST_TURN
+    has_path, has_turns = pieces.path.sum() >= _LEAST_PATH, pieces.swept.sum() >= _LEAST_TURN
     moving = (pieces.path > 0.01) | (pieces.swept > 0.02) | (np.abs(pieces.forward) > 0.01) | (np.abs(pieces.turn) > 0.02)
-    way, angle = pieces.true_forward[moving], pieces.true_turn[moving]
+    distance, angle = pieces.true_forward[moving], pieces.true_turn[moving]
     forward, turn, veer = (math.nan, math.inf), (math.nan, math.inf), (0.0, math.inf)
-    if goes:
-        (forward,) = _robust(way[:, None], pieces.forward[moving])
-    if turns and goes:
-        turn, veer = _robust(np.stack([angle, way], axis=1), pieces.turn[moving])
-    elif turns:
+    if has_path:
+        (forward,) = _robust(distance[:, None], pieces.forward[moving])
+    if has_turns and has_path:
+        turn, veer = _robust(np.stack([angle, distance], axis=1), pieces.turn[moving])
+    elif has_turns:
         (turn,) = _robust(angle[:, None], pieces.turn[moving])
-    elif goes:
-        (veer,) = _robust(way[:, None], pieces.turn[moving] - angle)
+    elif has_path:
+        (veer,) = _robust(distance[:, None], pieces.turn[moving] - angle)
     return Scales(forward[0], turn[0], veer[0], forward[1], turn[1], veer[1])
 
 
@@ -153,40 +153,40 @@ def _robust(columns: F64, target: F64) -> list[tuple[float, float]]:
     The deviation is that of the jackknife over the rows; it is infinite if less than two thirds of them agree.
     """
     weights: F64 = np.ones(len(target))
-    found: F64 = np.zeros(columns.shape[1])
-    for turn in range(30):
+    coefficients: F64 = np.zeros(columns.shape[1])
+    for iteration in range(30):
         root = np.sqrt(weights)
-        found = np.asarray(np.linalg.lstsq(columns * root[:, None], target * root, rcond=None)[0], dtype=np.float64)
-        residuals = np.abs(target - columns @ found)
+        coefficients = np.asarray(np.linalg.lstsq(columns * root[:, None], target * root, rcond=None)[0], dtype=np.float64)
+        residuals = np.abs(target - columns @ coefficients)
         spread = 1.4826 * float(np.median(residuals)) + _LEAST_SPREAD
-        if turn < 10:
+        if iteration < 10:
             weights = 1.0 / np.maximum(1.0, residuals / (1.345 * spread))
         else:
             weights = np.maximum(1.0 - (residuals / (4.685 * spread)) ** 2, 0.0) ** 2
-    return list(zip(found.tolist(), _jackknife(columns, target - columns @ found, weights), strict=True))
+    return list(zip(coefficients.tolist(), _jackknife(columns, target - columns @ coefficients, weights), strict=True))
 
 
 def _jackknife(columns: F64, residuals: F64, weights: F64) -> list[float]:
     """Returns the C standard deviations of weighted least squares by the jackknife over rows."""
-    whole = (columns * weights[:, None]).T @ columns
+    normal_matrix = (columns * weights[:, None]).T @ columns
     variance = np.zeros(columns.shape[1])
     agreeing = np.count_nonzero(weights > 0.1)
     if agreeing < max(_LEAST_SEGMENTS, len(weights) * 2 / 3):
         return [math.inf] * columns.shape[1]
     for row, residual, weight in zip(columns, residuals.tolist(), weights.tolist(), strict=True):
-        rest = whole - weight * np.outer(row, row)
-        if np.linalg.cond(rest) > 1e9:
+        remaining = normal_matrix - weight * np.outer(row, row)
+        if np.linalg.cond(remaining) > 1e9:
             return [math.inf] * columns.shape[1]
-        variance += np.square(np.linalg.solve(rest, weight * residual * row))
+        variance += np.square(np.linalg.solve(remaining, weight * residual * row))
     return [float(value) for value in np.sqrt(variance)]
 
 
 def drift(odometry: PlanarTrack, truth: PlanarTrack) -> Drift | None:
     """Returns the errors of odometry; None = the tracks do not overlap, or the robot did not move."""
-    pieces, found = motion_segments(odometry, truth), common(odometry, truth)
-    if pieces is None or found is None:
+    pieces, overlap = motion_segments(odometry, truth), common(odometry, truth)
+    if pieces is None or overlap is None:
         return None
-    _, odom, true = found
+    _, odom, true = overlap
     path = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(true.x), np.diff(true.y)))])
     swept = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(true.yaw)))])
     if path[-1] < 0.1 and swept[-1] < 0.1:
@@ -207,21 +207,21 @@ def drift(odometry: PlanarTrack, truth: PlanarTrack) -> Drift | None:
     )  # fmt: skip
 
 
-def _stuck(pieces: MotionSegments, of: Scales) -> tuple[tuple[float, float], ...]:
-    """Returns the times of segments whose motions differ by 5 cm or 0.1 rad from what the scales explain."""
-    forward, turn = (1.0 if math.isnan(scale) else scale for scale in (of.forward, of.turn))
-    far = np.abs(pieces.forward - forward * pieces.true_forward) > _STUCK
-    far |= np.abs(pieces.turn - turn * pieces.true_turn - of.veer * pieces.true_forward) > _STUCK_TURN
+def _stuck(pieces: MotionSegments, ratios: Scales) -> tuple[tuple[float, float], ...]:
+    """Returns the intervals (begin, end) of segments whose motions differ by 5 cm or 0.1 rad from those predicted by the scales."""
+    forward, turn = (1.0 if math.isnan(scale) else scale for scale in (ratios.forward, ratios.turn))
+    is_stuck = np.abs(pieces.forward - forward * pieces.true_forward) > _STUCK
+    is_stuck |= np.abs(pieces.turn - turn * pieces.true_turn - ratios.veer * pieces.true_forward) > _STUCK_TURN
     seconds = float(np.median(np.diff(pieces.begin))) if len(pieces.begin) > 1 else 0.0
-    return tuple((begin, begin + seconds) for begin in pieces.begin[far].tolist())
+    return tuple((begin, begin + seconds) for begin in pieces.begin[is_stuck].tolist())
 
 
-def _relative_errors(odom: PlanarTrack, true: PlanarTrack, way: F64, length: float) -> tuple[F64, F64]:
+def _relative_errors(odom: PlanarTrack, true: PlanarTrack, travelled: F64, length: float) -> tuple[F64, F64]:
     """Returns errors (m, rad) at the ends of all segments of ``length``, starting at every tenth of it."""
-    starts = np.unique(np.searchsorted(way, np.arange(0.0, way[-1] - length, length / 10)))
-    ends = np.searchsorted(way, way[starts] + length)
-    kept = ends < len(way)
-    return _relative(odom, true, starts[kept], ends[kept])
+    starts = np.unique(np.searchsorted(travelled, np.arange(0.0, travelled[-1] - length, length / 10)))
+    ends = np.searchsorted(travelled, travelled[starts] + length)
+    is_inside = ends < len(travelled)
+    return _relative(odom, true, starts[is_inside], ends[is_inside])
 
 
 def _relative(odom: PlanarTrack, true: PlanarTrack, a: NDArray[np.intp], b: NDArray[np.intp]) -> tuple[F64, F64]:
@@ -254,9 +254,9 @@ def fit_alphas(odometry: PlanarTrack, truth: PlanarTrack, seconds: float = 4.0) 
     pieces = motion_segments(odometry, truth, seconds)
     if pieces is None or pieces.path.sum() < 20.0 or pieces.swept.sum() < 20.0:
         return None
-    of = scales(pieces)
-    turn_error = pieces.turn - of.turn * pieces.true_turn - of.veer * pieces.true_forward
-    forward_error = pieces.forward - of.forward * pieces.true_forward
+    ratios = scales(pieces)
+    turn_error = pieces.turn - ratios.turn * pieces.true_turn - ratios.veer * pieces.true_forward
+    forward_error = pieces.forward - ratios.forward * pieces.true_forward
     by_path, by_turn = slip_variance(pieces.path), slip_variance(pieces.swept)
     alpha1, alpha2 = _likeliest(turn_error, by_turn, by_path)
     alpha4, alpha3 = _likeliest(forward_error, by_turn, by_path)
@@ -266,8 +266,8 @@ def fit_alphas(odometry: PlanarTrack, truth: PlanarTrack, seconds: float = 4.0) 
 
 def _likeliest(error: F64, a: F64, b: F64) -> tuple[float, float]:
     """Returns the maximum-likelihood (p, q), each 0 or more, for errors (K,) with variances p a + q b."""
-    moved = (a + b) > 1e-3
-    error, a, b = error[moved], a[moved], b[moved]
+    is_moving = (a + b) > 1e-3
+    error, a, b = error[is_moving], a[is_moving], b[is_moving]
     floor = 1e-12
 
     def cost(logs: F64) -> float:
@@ -275,7 +275,7 @@ def _likeliest(error: F64, a: F64, b: F64) -> tuple[float, float]:
         return float(np.sum(np.log(variance) + error**2 / variance))
 
     start = math.log(max(float(np.sum(error**2)) / max(float(np.sum(a + b)), 1e-9), 1e-11))
-    found = minimize(cost, [start, start], method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-6})
-    p, q = (float(value) for value in np.exp(found.x))
-    # A smaller one cannot be told from 0.
+    result = minimize(cost, [start, start], method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-6})
+    p, q = (float(value) for value in np.exp(result.x))
+    # A smaller value is indistinguishable from 0.
     return (p if p > 1e-3 * q else 0.0), (q if q > 1e-3 * p else 0.0)

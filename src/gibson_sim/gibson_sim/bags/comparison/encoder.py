@@ -39,16 +39,16 @@ _MOST_STEPS = 60.0
 def fit_ticks(
     spec: DriveSpec, fit: DriveFit, odometry: PlanarTrack, *, step_hz: int = 240, without: Sequence[tuple[float, float]] = ()
 ) -> Estimate | None:
-    """Returns the ticks a turn with which simulated odometry is as coarse as the recorded one; None = exact, or never at constant speed.
+    """Returns the ticks per revolution for which simulated odometry is as coarse as the recorded one; None = exact, or never at constant speed.
 
     A car's steering has encoders too, which are not modelled: None for it.
 
     Args:
         spec: The drive.
-        fit: Of the recording.
-        odometry: Of the recording.
+        fit: Drive fitted to the recording.
+        odometry: Wheel odometry of the recording.
         step_hz: Step rate of the simulation that the ticks are for.
-        without: (begin, end), seconds, of excluded times, in which the robot was stuck.
+        without: Excluded intervals (begin, end), seconds, in which the robot was stuck.
     """
     if isinstance(spec, AckermannSpec):
         return None
@@ -62,8 +62,8 @@ def fit_ticks(
     if step is not None:
         ticks = round(2.0 * math.pi * step_hz / step)
         return Estimate(ticks, _PERIOD_DEVIATION * ticks)
-    found = _fit_by_noise(spec, fit, measured.linear, gains, step_hz)
-    return None if found is None else Estimate(found, max(measured.deviation, _NOISE_DEVIATION) * found)
+    by_noise = _fit_by_noise(spec, fit, measured.linear, gains, step_hz)
+    return None if by_noise is None else Estimate(by_noise, max(measured.deviation, _NOISE_DEVIATION) * by_noise)
 
 
 def common_step(values: F64, least: float, most: float) -> float | None:
@@ -130,14 +130,14 @@ def odometry_noise(fit: DriveFit, odometry: PlanarTrack, without: Sequence[tuple
 
 
 def _even(fit: DriveFit) -> NDArray[np.bool_]:
-    """Returns where the model moves and its speed has settled, (N,)."""
+    """Returns a mask of the samples at which the model moves at a settled speed, (N,)."""
     change = np.abs(np.gradient(fit.linear, fit.t)) * 0.2 + np.abs(np.gradient(fit.angular, fit.t)) * 0.05 > 1e-4
     last = np.maximum.accumulate(np.where(change, fit.t, -np.inf))
     return (fit.t - last > _SETTLE_S) & ~change & (np.abs(fit.linear) + np.abs(fit.angular) > 0.02)
 
 
 def _fit_by_noise(spec: DriveSpec, fit: DriveFit, measured: float, gains: list[float], step_hz: int) -> int | None:
-    """Returns the ticks a turn at which simulated odometry has the ``measured`` noise, m/s; None = there are none."""
+    """Returns the ticks per revolution for which simulated odometry has the ``measured`` noise, m/s; None = no such value."""
     begin, end = float(fit.t[0]), float(fit.t[-1])
     t = begin + np.arange(round((end - begin) * step_hz)) / step_hz
     even = np.interp(t, fit.t, _even(fit).astype(np.float64)) > 0.0
@@ -151,8 +151,8 @@ def _fit_by_noise(spec: DriveSpec, fit: DriveFit, measured: float, gains: list[f
         counted = counted_velocities(free, errors, linear, angular, step_hz)
         rows = np.clip(stamps, 0, len(t) - 1)
         simulated = PlanarTrack(fit.t, fit.t, fit.t, fit.t, counted[0][rows] * gains[0], counted[1][rows] * gains[1])
-        found = odometry_noise(fit, simulated)
-        return -12.0 if found is None else math.log(max(found.linear, 1e-9)) - math.log(measured)
+        result = odometry_noise(fit, simulated)
+        return -12.0 if result is None else math.log(max(result.linear, 1e-9)) - math.log(measured)
 
     low, high = math.log(_LEAST_TICKS), math.log(_MOST_TICKS)
     if noise(high) > 0.0 or noise(low) < 0.0:

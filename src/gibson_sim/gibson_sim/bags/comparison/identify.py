@@ -1,4 +1,4 @@
-"""Identifies delay, acceleration limits and gains of a drive by fitting the simulator's own model to commands and odometry. Pure.
+"""Identifies delay, acceleration limits and gains of a drive by fitting the simulator's drive model to commands and odometry. Pure.
 
 The model is that of ``robots.drives``: after a delay, the base's velocity approaches the command at a limited rate; odometry reports that
 velocity times a gain. Delay and gain are applied to the model's output, so only other limits need another simulation of the drive.
@@ -80,14 +80,14 @@ def fit_drive(
     timeout: float = 0.5,
     without: Sequence[tuple[float, float]] = (),
 ) -> DriveFit | None:
-    """Returns the drive that explains the recording best; None = the commands vary too little.
+    """Returns the drive that best fits the recording; None = the commands vary too little.
 
     Args:
         spec: The kind of drive and its maximum speeds; its acceleration limits, delay and slip are not used.
-        commands: As recorded.
+        commands: Recorded velocity commands.
         odometry: Wheel odometry.
         timeout: Command timeout, seconds.
-        without: (begin, end), seconds, of excluded times, in which the robot was stuck.
+        without: Excluded intervals (begin, end), seconds, in which the robot was stuck.
     """
     problem = _Problem(spec, commands, odometry, timeout, without)
     if not (problem.tells_linear or problem.tells_angular):
@@ -102,11 +102,11 @@ class _Problem:
         self, spec: DriveSpec, commands: Commands, odometry: PlanarTrack, timeout: float, without: Sequence[tuple[float, float]]
     ) -> None:
         self._t, (self._linear, self._angular) = odometry.t, speeds(odometry)
-        # A robot that is faster in the recording than its file allows can be that fast.
+        # The speed limits of the file do not apply to a robot that was faster in the recording.
         fastest, fastest_turn = (1.05 * float(np.abs(values).max(initial=0.0)) for values in (self._linear, self._angular))
         self._spec = replace(spec, max_linear=max(spec.max_linear, fastest), max_angular=max(spec.max_angular, fastest_turn))
         begin, end = max(commands.t[0], odometry.t[0]) - 0.5, odometry.t[-1]
-        self._grid, wanted_linear, wanted_angular = wanted_velocities(commands, begin, end, _MODEL_HZ, timeout)
+        self._grid, wanted_linear, wanted_angular = commanded_velocities(commands, begin, end, _MODEL_HZ, timeout)
         self._wanted = wanted_linear, wanted_angular
         self.tells_linear = len(self._grid) > 0 and float(np.ptp(wanted_linear)) >= LEAST_LINEAR
         self.tells_angular = len(self._grid) > 0 and float(np.ptp(wanted_angular)) >= LEAST_ANGULAR
@@ -183,7 +183,7 @@ class _Problem:
         return [float(value) for value in out]
 
     def _start(self) -> NDArray[np.float64]:
-        """Returns the best point of a coarse grid, since a long delay and a slow ramp look alike in the cost."""
+        """Returns the best point of a coarse grid: a long delay and a slow ramp have nearly the same cost."""
         limits = (0.3, 0.6, 1.2, 2.5, 6.0)
         grid = [
             np.array([delay, math.log(limit), math.log(3.0 * limit), 1.0, 1.0])
@@ -205,9 +205,9 @@ class _Problem:
         linear, angular = self._model(best.x, self._t)
         is_car = isinstance(self._spec, AckermannSpec)
 
-        def limit(log: float, row: int, told: bool) -> Estimate | None:
+        def limit(log: float, row: int, is_determined: bool) -> Estimate | None:
             # A ramp shorter than a sample determines no limit.
-            known = told and deviations[row] < 0.3 and low[row] + 0.01 < log < high[row] - 0.01
+            known = is_determined and deviations[row] < 0.3 and low[row] + 0.01 < log < high[row] - 0.01
             return Estimate(math.exp(log), math.exp(log) * deviations[row]) if known else None
 
         return DriveFit(
@@ -227,10 +227,10 @@ class _Problem:
 def _solved(matrix: F64, right: F64) -> F64:
     """Solves ``matrix @ x = right`` with a symmetric matrix; x, (N,), is infinite for undetermined unknowns."""
     out = np.full(len(right), np.inf)
-    told = np.diag(matrix) > 1e-9 * max(float(np.diag(matrix).max(initial=0.0)), 1e-30)
-    scale = np.sqrt(np.diag(matrix)[told])
-    normed = matrix[np.ix_(told, told)] / np.outer(scale, scale)
-    out[told] = np.linalg.lstsq(normed, right[told] / scale, rcond=1e-9)[0] / scale
+    is_determined = np.diag(matrix) > 1e-9 * max(float(np.diag(matrix).max(initial=0.0)), 1e-30)
+    scale = np.sqrt(np.diag(matrix)[is_determined])
+    normed = matrix[np.ix_(is_determined, is_determined)] / np.outer(scale, scale)
+    out[is_determined] = np.linalg.lstsq(normed, right[is_determined] / scale, rcond=1e-9)[0] / scale
     return out
 
 
@@ -238,7 +238,7 @@ def _rms(values: F64) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
-def wanted_velocities(commands: Commands, begin: float, end: float, step_hz: int, timeout: float) -> tuple[F64, F64, F64]:
+def commanded_velocities(commands: Commands, begin: float, end: float, step_hz: int, timeout: float) -> tuple[F64, F64, F64]:
     """Returns the times of physics steps, and the commands in effect at their beginning (m/s, rad/s), each (N,).
 
     Each value is that of ``active_command`` for the last command at that time.
@@ -248,7 +248,7 @@ def wanted_velocities(commands: Commands, begin: float, end: float, step_hz: int
 
 
 def with_limits(spec: DriveSpec, linear: float, angular: float) -> DriveSpec:
-    """Returns the drive with other acceleration limits (m/s^2, rad/s^2), without delay and slip."""
+    """Returns the drive with the given acceleration limits (m/s^2, rad/s^2), without delay and slip."""
     if isinstance(spec, AckermannSpec):
         return replace(spec, max_linear_acceleration=linear, command_delay=0.0, slip=0.0)
     return replace(
@@ -268,7 +268,7 @@ def limited_velocities(spec: DriveSpec, linear: F64, angular: F64, dt: float) ->
     drive = make_drive(spec)
     out = np.zeros((len(linear), 2))
     velocity, settles = drive.velocity, not isinstance(spec, AckermannSpec) and spec.command_delay == 0.0
-    # A car steers while it stands, and a delay holds commands back. Any other settled drive stays settled while the command is constant.
+    # A standing car can still steer, and a delay postpones commands. Any other settled drive stays settled while the command is constant.
     changes = np.concatenate([[0], np.flatnonzero((np.diff(linear) != 0) | (np.diff(angular) != 0)) + 1, [len(linear)]])
     for first, past in zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True):
         wanted = PlanarVelocity(
@@ -292,7 +292,7 @@ def counted_velocities(spec: DriveSpec, odometry: WheelOdometrySpec, linear: F64
         odometry: Errors of odometry.
         linear: (N,), velocity of the base at each step, m/s.
         angular: (N,), rad/s.
-        step_hz: Steps a second.
+        step_hz: Steps per second.
     """
     drive = make_drive(spec)
     noise = OdometryNoise(odometry, "robot", 0, left=[wheel.is_left for wheel in drive.wheels])

@@ -1,4 +1,4 @@
-"""Noise and bias of an IMU, measured while the robot stands. Pure."""
+"""Noise and bias of an IMU, measured while the robot stands still. Pure."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ class AllanCurve:
 
 
 def imu_noise(imu: ImuSamples, rests: list[tuple[float, float]], gravity: float = 9.81) -> ImuNoise | None:
-    """Returns the noise of an IMU; None = it never rests long enough.
+    """Returns the noise of an IMU; None = no rest is long enough.
 
     Args:
-        imu: Its samples.
-        rests: (begin, end) of the times at which the robot stands, seconds.
+        imu: Samples of the IMU.
+        rests: Intervals (begin, end) in which the robot stands still, seconds.
         gravity: m/s^2, along +z of the IMU when the robot is level.
     """
     parts = [(imu.t >= begin) & (imu.t <= end) for begin, end in rests]
@@ -131,7 +131,7 @@ def allan_curve(segments: Sequence[F64], rate_hz: float) -> AllanCurve | None:
 
     Args:
         segments: Signals (N_i,), evenly spaced, e.g. one for each rest and axis.
-        rate_hz: Samples a second.
+        rate_hz: Sample rate, Hz.
     """
     longest = max((len(segment) for segment in segments), default=0)
     if longest < 20:
@@ -153,9 +153,9 @@ def overlapping_allan(values: F64, rate_hz: float, factors: Sequence[int]) -> F6
     """Returns the overlapping Allan deviation, (K,); NaN if the signal is too short.
 
     Args:
-        values: (N,) samples of a rate, evenly spaced.
-        rate_hz: Samples a second.
-        factors: K averaging factors m, each 1 or more; the averaging time is m / rate_hz.
+        values: Samples of a rate, (N,), evenly spaced.
+        rate_hz: Sample rate, Hz.
+        factors: K averaging factors m, each 1 or more; the averaging time is m / rate_hz, seconds.
     """
     phase = np.concatenate([[0.0], np.cumsum(values - np.mean(values))]) / rate_hz
     out = np.full(len(factors), np.nan)

@@ -99,7 +99,7 @@ def resolution_of(ranges: F64) -> float:
 
 
 def dropout_of(ranges: F64) -> tuple[float, float]:
-    """Returns the part of missing beams between two neighbours whose ranges agree within a tenth, and its standard deviation.
+    """Returns the fraction of missing beams among those whose two neighbours' ranges agree within 10 %, and its standard deviation.
 
     NaN and infinite if there are fewer than 100 such beams.
     """
@@ -136,14 +136,14 @@ def residuals_against_map(scans: Scans, track: PlanarTrack, grid: OccupancyMap) 
 
 
 def _lidar_origin(scans: Scans, pose: F64) -> tuple[tuple[float, float], float]:
-    """Returns x, y of the lidar and the yaw of the base."""
+    """Returns x, y (m) of the lidar and the yaw (rad) of the base."""
     x, y, yaw = (float(value) for value in pose)
     dx, dy, _ = scans.mount
     return (x + dx * math.cos(yaw) - dy * math.sin(yaw), y + dx * math.sin(yaw) + dy * math.cos(yaw)), yaw
 
 
 def cast(grid: OccupancyMap, origin: tuple[float, float], angles: F64, longest: float) -> F64:
-    """Returns the distance to the first occupied cell along each angle, (B,), metres, to half a cell; +inf = none."""
+    """Returns the distance to the first occupied cell along each angle, (B,), metres, accurate to half a cell; +inf = none."""
     step = grid.resolution / 2
     reach = np.arange(0.0, longest, step) + step / 2
     x = origin[0] + np.cos(angles)[:, None] * reach
@@ -192,11 +192,11 @@ def _seen_from(scans: Scans, pose: F64, ranges: F64, other: Scans, other_pose: F
     return angles[order], np.hypot(dx, dy)[order]
 
 
-def _at_angles(angles: F64, ranges: F64, wanted: F64, widest: float) -> F64:
-    """Interpolates ranges at ``wanted`` angles between neighbours on one surface, at most ``widest`` radians apart; NaN elsewhere."""
+def _at_angles(angles: F64, ranges: F64, at: F64, widest: float) -> F64:
+    """Interpolates ranges at the angles ``at`` between neighbours on one surface, at most ``widest`` radians apart; NaN elsewhere."""
     if len(angles) < 2:
-        return np.full(len(wanted), np.nan)
-    turned = np.mod(wanted, 2 * np.pi)
+        return np.full(len(at), np.nan)
+    turned = np.mod(at, 2 * np.pi)
     right = np.searchsorted(angles, turned)
     left = right - 1
     right = np.where(right == len(angles), 0, right)

@@ -1,4 +1,4 @@
-"""Reads from a bag what is compared. Message types come from the bag, which may be that of a real robot."""
+"""Reads the compared data from a bag. Message types come from the bag, which may be that of a real robot."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def load_recording(folder: Path, given: Mapping[str, str] | None = None) -> Reco
     """Returns the content of a bag.
 
     Args:
-        folder: Of the bag.
+        folder: Folder of the bag.
         given: Role -> topic, for names other than the usual ones.
 
     Raises:
@@ -55,8 +55,8 @@ def load_recording(folder: Path, given: Mapping[str, str] | None = None) -> Reco
     """
     with BagReader(folder) as bag:
         infos = bag.topics()
-        found = roles.find_topics(infos, given or {}, str(folder))
-        reading = _Reading(bag, infos, found)
+        topics = roles.find_topics(infos, given or {}, str(folder))
+        reading = _Reading(bag, infos, topics)
         reading.read()
         return reading.recording(folder)
 
@@ -64,9 +64,9 @@ def load_recording(folder: Path, given: Mapping[str, str] | None = None) -> Reco
 class _Reading:
     """One pass over a bag."""
 
-    def __init__(self, bag: BagReader, infos: Mapping[str, TopicInfo], found: dict[str, str]) -> None:
-        self._bag, self._infos, self._found = bag, infos, found
-        self._rows: dict[str, list[Any]] = {role: [] for role in found}
+    def __init__(self, bag: BagReader, infos: Mapping[str, TopicInfo], topics: dict[str, str]) -> None:
+        self._bag, self._infos, self._found = bag, infos, topics
+        self._rows: dict[str, list[Any]] = {role: [] for role in topics}
         self._log: dict[str, list[int]] = {topic: [] for topic in infos}
         self._stamps: dict[str, list[int]] = {topic: [] for topic in infos}
         self._fixed: dict[str, tuple[str, Mat4]] = {}
@@ -75,9 +75,9 @@ class _Reading:
         self._frames: dict[str, str] = {}
         self.notes: list[str] = []
         self._strides = {
-            role: max(1, -(-infos[found[role]].count // most))
+            role: max(1, -(-infos[topics[role]].count // most))
             for role, most in (("image", MOST_PICTURES), ("scan", MOST_SCANS))
-            if role in found
+            if role in topics
         }
         self._seen = dict.fromkeys(self._strides, 0)
 
@@ -272,7 +272,7 @@ def _planar(stamp: Any, pose: Any, twist: Any) -> tuple[int, float, float, float
 
 
 def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:
-    """Returns times since ``begin``, strictly increasing, (N,), seconds, and the other columns, (N, C).
+    """Returns strictly increasing times since ``begin``, (N,), seconds, and the other columns, (N, C).
 
     Raises:
         RecordError: the stamps span more than ``LONGEST_S``.

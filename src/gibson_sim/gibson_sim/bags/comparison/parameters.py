@@ -89,13 +89,13 @@ def fitted_parameters(real: Measurements, sim: Measurements, robot: RobotSpec) -
         sim: Recording of the simulated ``robot``.
         robot: The simulated robot.
     """
-    found: list[Parameter] = []
+    parameters: list[Parameter] = []
     if robot.drive is not None:
-        found += _drive(real, sim, robot.drive)
-        found += _odometry(real, sim, robot)
-    found += _imu(real, robot)
-    found += _lidar(real, sim, robot)
-    return tuple(found)
+        parameters += _drive(real, sim, robot.drive)
+        parameters += _odometry(real, sim, robot)
+    parameters += _imu(real, robot)
+    parameters += _lidar(real, sim, robot)
+    return tuple(parameters)
 
 
 def _ratio(a: Estimate | None, b: Estimate | None) -> tuple[float, float] | None:
@@ -110,10 +110,10 @@ def _drive(real: Measurements, sim: Measurements, drive: DriveSpec) -> Iterator[
     a, b = real.fit, sim.fit
     if a is None or b is None:
         return
-    later = a.delay.value - b.delay.value
+    extra_delay = a.delay.value - b.delay.value
     yield Parameter(
-        "drive", "command_delay", 0, drive.command_delay, min(max(drive.command_delay + later, 0.0), 10.0), "s",
-        math.hypot(a.delay.deviation, b.delay.deviation), f"odometry follows cmd_vel {1e3 * later:+.0f} ms later than in the simulation",
+        "drive", "command_delay", 0, drive.command_delay, min(max(drive.command_delay + extra_delay, 0.0), 10.0), "s",
+        math.hypot(a.delay.deviation, b.delay.deviation), f"odometry follows cmd_vel {1e3 * extra_delay:+.0f} ms later than in the simulation",
     )  # fmt: skip
     limits = [("max_linear_acceleration", "m/s²", drive.max_linear_acceleration, a.linear_acceleration, b.linear_acceleration)]
     if not isinstance(drive, AckermannSpec):
@@ -135,10 +135,10 @@ def _drive(real: Measurements, sim: Measurements, drive: DriveSpec) -> Iterator[
 
 def _truth_gain(measured: Measurements, kind: str) -> Estimate | None:
     """Returns the ratio of true to commanded velocity: odometry to commands, divided by odometry to truth."""
-    fit, of = measured.fit, measured.drift
-    if fit is None or of is None:
+    fit, drift = measured.fit, measured.drift
+    if fit is None or drift is None:
         return None
-    scales = of.scales
+    scales = drift.scales
     if kind == "forward":
         gain, scale = fit.linear_gain, Estimate(scales.forward, scales.forward_deviation)
     else:
@@ -149,7 +149,7 @@ def _truth_gain(measured: Measurements, kind: str) -> Estimate | None:
     return Estimate(ratio, math.hypot(gain.deviation / scale.value, ratio * scale.deviation / scale.value))
 
 
-def _told_gains(measured: Measurements, wheels: WheelOdometrySpec) -> tuple[Estimate | None, Estimate | None]:
+def _odometry_gains(measured: Measurements, wheels: WheelOdometrySpec) -> tuple[Estimate | None, Estimate | None]:
     """Returns the ratios of odometry to commands, forward and yaw; odometry's random errors do not average out over a short path."""
     fit = measured.fit
     assert fit is not None
@@ -168,13 +168,13 @@ def _odometry(real: Measurements, sim: Measurements, robot: RobotSpec) -> Iterat
     a, b, wheels = real.fit, sim.fit, robot.sensors.wheel_odometry
     if a is None or b is None or robot.drive is None:
         return
-    forward, turn = (_ratio(*pair) for pair in zip(_told_gains(real, wheels), _told_gains(sim, wheels), strict=True))
+    forward, turn = (_ratio(*pair) for pair in zip(_odometry_gains(real, wheels), _odometry_gains(sim, wheels), strict=True))
     if forward is not None:
         mean = (wheels.left_radius_factor + wheels.right_radius_factor) / 2
         difference = wheels.right_radius_factor - wheels.left_radius_factor
         new_mean, half = mean * forward[0], _half_difference(real, sim, robot.drive, difference)
-        because = "speed by odometry over the one commanded; left and right by how it veers"
-        # One of them alone would make the robot veer, so both change together, because of their mean or of their difference.
+        because = "speed by odometry over commanded speed; left and right by the veer"
+        # Changing only one would make the robot veer, so both change together, because of their mean or of their difference.
         parts = ((mean, new_mean, forward[1]), (difference / 2, half.value, half.deviation))
         changes = any(abs(new - old) > max(CERTAINTY * deviation, 1e-3) for old, new, deviation in parts)
         for key, old, new in (
@@ -189,45 +189,49 @@ def _odometry(real: Measurements, sim: Measurements, robot: RobotSpec) -> Iterat
             ratio = forward[0] / turn[0]
             new = min(max(wheels.separation_factor * ratio, 0.5), 2.0)
             deviation = ratio * math.hypot(forward[1], turn[1])
-            because = "forward speed over yaw rate by odometry, each over the one commanded"
+            because = "forward speed over yaw rate by odometry, each over its command"
             yield Parameter("wheel_odometry", "separation_factor", 0, wheels.separation_factor, new, "", deviation, because)
     if real.ticks is not None:
         ticks = _ticks(wheels.encoder_ticks, real.ticks, sim.ticks)
-        because = "noise of the speed by odometry while it moves evenly"
+        because = "noise of the speed by odometry at constant speed"
         yield Parameter("wheel_odometry", "encoder_ticks", 0, wheels.encoder_ticks, ticks.value, "", ticks.deviation, because)
     if real.alphas is not None:
         for key in ("alpha1", "alpha2", "alpha3", "alpha4"):
             of_real, of_sim = (_alpha(side, key) for side in (real, sim))
             old = getattr(wheels, key)
-            found = of_real if of_sim is None or of_real is None else _without_own(old, of_real, of_sim)
-            if found is not None:
-                because = "spread of odometry's errors over pieces of the drive"
-                yield Parameter("wheel_odometry", key, 0, old, max(found.value, 0.0), "", found.deviation, because)
+            estimate = of_real if of_sim is None or of_real is None else _without_sim_excess(old, of_real, of_sim)
+            if estimate is not None:
+                because = "spread of odometry's errors over segments of the drive"
+                yield Parameter("wheel_odometry", key, 0, old, max(estimate.value, 0.0), "", estimate.deviation, because)
 
 
 def _alpha(measured: Measurements, key: str) -> Estimate | None:
     alphas = measured.alphas
-    # ``uncertainty`` is that of its root.
+    # ``uncertainty`` is that of the square root.
     return None if alphas is None else Estimate(getattr(alphas, key), 2.0 * alphas.uncertainty * getattr(alphas, key))
 
 
-def _without_own(old: float, real: Estimate, sim: Estimate) -> Estimate:
+def _without_sim_excess(old: float, real: Estimate, sim: Estimate) -> Estimate:
     """Returns a variance or rate minus the excess over ``old`` in the recording of a simulated robot configured with ``old``."""
-    own = sim.value - old
-    return Estimate(real.value - own, math.hypot(real.deviation, sim.deviation, own))
+    excess = sim.value - old
+    return Estimate(real.value - excess, math.hypot(real.deviation, sim.deviation, excess))
 
 
 def _ticks(old: float, real: Estimate, sim: Estimate | None) -> Estimate:
     """Returns the ticks of an encoder without the noise of simulated odometry beyond that of its ``old`` ticks (0 = exact)."""
     # The variance of the noise is proportional to the square of the size of a tick.
-    variances = [Estimate(one.value**-2, 2.0 * one.deviation / one.value**3) for one in (real, sim) if one is not None]
+    variances = [
+        Estimate(estimate.value**-2, 2.0 * estimate.deviation / estimate.value**3)
+        for estimate in (real, sim)
+        if estimate is not None
+    ]
     exact = 1.0 / old**2 if old else 0.0
-    found = variances[0] if sim is None else _without_own(exact, *variances)
-    if found.value <= found.deviation:
+    variance = variances[0] if sim is None else _without_sim_excess(exact, *variances)
+    if variance.value <= variance.deviation:
         return Estimate(real.value, math.inf)
-    ticks = found.value**-0.5
+    ticks = variance.value**-0.5
     # Determined by the size of a tick, hence the relative uncertainty of the coarser of both.
-    return Estimate(ticks, 0.5 * ticks**2 * max(ticks, old) * found.deviation)
+    return Estimate(ticks, 0.5 * ticks**2 * max(ticks, old) * variance.deviation)
 
 
 def _half_difference(real: Measurements, sim: Measurements, drive: DriveSpec, old: float) -> Estimate:
@@ -263,7 +267,7 @@ def _imu(real: Measurements, robot: RobotSpec) -> Iterator[Parameter]:
 
 
 def _bias_deviation(old: float, density: float, rest_s: float) -> float:
-    """Returns the standard deviation of the bias of three axes: of its measurement, and of one robot from a make with spread ``old``."""
+    """Returns the standard deviation of the bias of three axes: of its measurement, and of one robot of a model with spread ``old``."""
     return math.hypot(density / math.sqrt(rest_s), old * _THREE_AXES)
 
 
@@ -285,23 +289,23 @@ def _lidar(real: Measurements, sim: Measurements, robot: RobotSpec) -> Iterator[
     dropout = _dropout(real)
     if dropout is not None:
         of_sim = _dropout(sim)
-        found = dropout if of_sim is None else _without_own(spec.dropout, dropout, of_sim)
-        because = "beams that do not return between two that do"
-        new = min(max(found.value, 0.0), 1.0)
-        yield Parameter("lidar", "dropout", index, spec.dropout, new, "", found.deviation, because)
+        estimate = dropout if of_sim is None else _without_sim_excess(spec.dropout, dropout, of_sim)
+        because = "missing beams between two that return"
+        new = min(max(estimate.value, 0.0), 1.0)
+        yield Parameter("lidar", "dropout", index, spec.dropout, new, "", estimate.deviation, because)
     for key, old, new, unit in (
         ("beams", float(spec.beams), float(noise.beams), ""),
         ("range_min", spec.range_min, scans.range_min, "m"),
         ("range_max", spec.range_max, scans.range_max, "m"),
     ):
-        yield Parameter("lidar", key, index, old, new, unit, 0.0, "as the messages say")
+        yield Parameter("lidar", key, index, old, new, unit, 0.0, "values of the messages")
     timing = (real.timing or {}).get(real.recording.topics.get("scan", ""))
     if timing is not None and timing.rate_hz:
         yield _rate("lidar", index, spec.rate_hz, timing.rate_hz)
 
 
 def _dropout(measured: Measurements) -> Estimate | None:
-    """Returns the part of beams that do not return; None = not determined."""
+    """Returns the fraction of beams that do not return; None = not determined."""
     lidar = measured.lidar
     return None if lidar is None or math.isnan(lidar.dropout) else Estimate(lidar.dropout, lidar.dropout_deviation)
 

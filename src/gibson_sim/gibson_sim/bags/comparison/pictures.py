@@ -45,7 +45,7 @@ def picture_statistics(rgb: NDArray[np.uint8]) -> tuple[F64, F64]:
 def noise_of(luma: F64) -> float:
     """Returns the standard deviation of pixel-wise independent noise, in the unit of ``luma`` (height, width)."""
     inner = cv2.filter2D(luma, cv2.CV_64F, _NOISE_MASK)[1:-1, 1:-1]
-    # Edges respond too, but hardly move a median: the noise is everywhere.
+    # Edges respond too, but hardly change the median, since noise affects all pixels.
     return float(np.median(np.abs(inner))) / 0.6745 / 6.0
 
 
@@ -55,7 +55,7 @@ def histogram_distance(a: F64, b: F64) -> float:
 
 
 def exposure_stops(real: float, sim: float) -> float:
-    """Returns the additional exposure, in stops, that makes the simulated camera as bright; means are sRGB, 0 to 1."""
+    """Returns the additional exposure, in stops, that makes the simulated images as bright as the real ones; means are sRGB, 0 to 1."""
     linear = np.maximum(linear_from_srgb([real, sim]), 1e-4)
     return math.log2(linear[0] / linear[1])
 

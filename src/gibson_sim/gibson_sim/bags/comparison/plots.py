@@ -53,14 +53,16 @@ def _sides(comparison: Comparison) -> tuple[tuple[str, str, Measurements], ...]:
 
 def _steps(comparison: Comparison) -> Iterator[Plot]:
     kinds = [("linear", "forward"), ("angular", "turning")]
-    found = {kind: [getattr(m, kind).steps if getattr(m, kind) else () for _, _, m in _sides(comparison)] for kind, _ in kinds}
-    if not any(steps for both in found.values() for steps in both):
+    steps_of_kind = {
+        kind: [getattr(m, kind).steps if getattr(m, kind) else () for _, _, m in _sides(comparison)] for kind, _ in kinds
+    }
+    if not any(steps for both in steps_of_kind.values() for steps in both):
         return
 
     def draw(axes: Any) -> None:
         for axis, (kind, name) in zip(axes, kinds, strict=True):
             axis.plot([-0.2, 0, 0, 1.2], [0, 0, 1, 1], color=COMMAND, linestyle="--", linewidth=1.2, label="command")
-            for (side, colour, measured), steps in zip(_sides(comparison), found[kind], strict=True):
+            for (side, colour, measured), steps in zip(_sides(comparison), steps_of_kind[kind], strict=True):
                 curves = [_normalised(measured, step, kind) for step in steps]
                 for curve in curves:
                     axis.plot(_GRID, curve, color=colour, alpha=0.18, linewidth=0.8)
@@ -102,9 +104,9 @@ def _excerpts(comparison: Comparison) -> Iterator[Plot]:
         )
 
         def draw(axes: Any, t: F64 = t, series: Any = series, colour: str = colour) -> None:
-            for axis, (name, asked, seen, model) in zip(axes, series, strict=True):
-                axis.plot(t, asked, color=COMMAND, linestyle="--", linewidth=1.2, label="command")
-                axis.plot(t, seen, color=colour, linewidth=1.4, label="odometry")
+            for axis, (name, commanded, reported, model) in zip(axes, series, strict=True):
+                axis.plot(t, commanded, color=COMMAND, linestyle="--", linewidth=1.2, label="command")
+                axis.plot(t, reported, color=colour, linewidth=1.4, label="odometry")
                 axis.plot(t, model, color=MODEL, linewidth=0.9, label="fitted drive")
                 axis.set(title=name, xlabel="seconds")
             axes[0].legend(loc="best", ncols=3, fontsize=8)

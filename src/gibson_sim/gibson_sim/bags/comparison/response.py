@@ -91,14 +91,14 @@ class AxisResponse:
 
 
 def axis_response(command_t: F64, command: F64, t: F64, velocity: F64, *, least: float, timeout: float = 0.5) -> AxisResponse:
-    """Returns how ``velocity`` follows ``command``.
+    """Returns the response of ``velocity`` to ``command``.
 
     Args:
-        command_t: (N,), seconds.
-        command: (N,), m/s or rad/s.
-        t: (M,), seconds, increasing.
-        velocity: (M,), in the unit of the command.
-        least: Smallest height of a step.
+        command_t: Times of the commands, (N,), seconds.
+        command: Commands, (N,), m/s or rad/s.
+        t: Times of the velocities, (M,), seconds, increasing.
+        velocity: Velocities, (M,), in the unit of the command.
+        least: Minimum height of a step, in the unit of the command.
         timeout: Command timeout, seconds.
     """
     steps = tuple(find_steps(command_t, command, t, velocity, least=least, timeout=timeout))
@@ -109,20 +109,20 @@ def find_steps(command_t: F64, command: F64, t: F64, velocity: F64, *, least: fl
     """Returns the responses to all isolated steps of the command; the arguments are those of ``axis_response``."""
     grid = np.arange(t[0], t[-1], _MODEL_DT) if len(t) > 1 else np.zeros(0)
     # Times at which the command in effect changes: new commands, and timeouts.
-    asked = held(command_t, command, grid, timeout)
-    changes = np.flatnonzero(np.abs(np.diff(asked)) > 1e-9)
-    found = []
+    commanded = held(command_t, command, grid, timeout)
+    changes = np.flatnonzero(np.abs(np.diff(commanded)) > 1e-9)
+    responses = []
     for i, row in enumerate(changes):
         begin = float(grid[row + 1])
         quiet_from = float(grid[changes[i - 1] + 1]) if i else float(grid[0])
         quiet_to = float(grid[changes[i + 1] + 1]) if i + 1 < len(changes) else float(grid[-1])
-        height = float(asked[row + 1] - asked[row])
+        height = float(commanded[row + 1] - commanded[row])
         if abs(height) >= least and begin - quiet_from >= _BEFORE and quiet_to - begin >= _AFTER:
             exact = _exact_time(command_t, begin)
-            step = _measure(exact, quiet_to, float(asked[row]), float(asked[row + 1]), t, velocity)
+            step = _measure(exact, quiet_to, float(commanded[row]), float(commanded[row + 1]), t, velocity)
             if step is not None:
-                found.append(step)
-    return found
+                responses.append(step)
+    return responses
 
 
 def _exact_time(command_t: F64, near: float) -> float:
@@ -156,7 +156,7 @@ def _measure(begin: float, end: float, before: float, after: float, t: F64, velo
 
 
 def _crossing(t: F64, part: F64, level: float, start: float) -> float:
-    """Returns when the signal crosses ``level`` after ``start``: halfway between first reaching it and last falling below it."""
+    """Returns the time at which the signal crosses ``level`` after ``start``: halfway between first reaching it and last falling below it."""
     after = t >= start
     arrived = np.flatnonzero(after & (part >= max(level, 0.97)))
     rows = np.flatnonzero(after & (part >= level))
@@ -169,7 +169,7 @@ def _crossing(t: F64, part: F64, level: float, start: float) -> float:
 
 
 def _between(t: F64, part: F64, i: int, level: float) -> float:
-    """Returns when the line from sample ``i - 1`` to ``i`` crosses ``level``."""
+    """Returns the time at which the line from sample ``i - 1`` to ``i`` crosses ``level``."""
     rise = float(part[i] - part[i - 1])
     share = (level - float(part[i - 1])) / rise if rise > 0 else 1.0
     return float(t[i - 1] + min(max(share, 0.0), 1.0) * (t[i] - t[i - 1]))
@@ -185,21 +185,21 @@ def linear_models(
     if len(t) < 20 or len(command_t) < 2:
         return ()
     grid = np.arange(t[0] - _LONGEST_DELAY, t[-1], _MODEL_DT)
-    asked = held(command_t, command, grid, timeout)
-    if float(np.ptp(asked)) < least:
+    commanded = held(command_t, command, grid, timeout)
+    if float(np.ptp(commanded)) < least:
         return ()
     # Times without command and motion carry no information.
-    busy = (np.abs(np.interp(t, grid, asked)) > 0.0) | (np.abs(velocity) > 0.05 * float(np.ptp(asked)))
+    busy = (np.abs(np.interp(t, grid, commanded)) > 0.0) | (np.abs(velocity) > 0.05 * float(np.ptp(commanded)))
     when, target = t[busy], velocity[busy]
-    models = [_fitted(order, grid, asked, when, target) for order in (1, 2)]
+    models = [_fitted(order, grid, commanded, when, target) for order in (1, 2)]
     return tuple(sorted(models, key=lambda model: model.rms * (1.0 + 0.01 * model.order)))
 
 
-def _fitted(order: int, grid: F64, asked: F64, when: F64, target: F64) -> LinearModel:
+def _fitted(order: int, grid: F64, commanded: F64, when: F64, target: F64) -> LinearModel:
     simulate = _first_order if order == 1 else _second_order
 
     def residuals(p: F64) -> F64:
-        return np.asarray(float(p[0]) * np.interp(when - p[1], grid, simulate(asked, *p[2:])) - target, dtype=np.float64)
+        return np.asarray(float(p[0]) * np.interp(when - p[1], grid, simulate(commanded, *p[2:])) - target, dtype=np.float64)
 
     best = None
     for delay in (0.02, 0.15):
@@ -215,16 +215,16 @@ def _fitted(order: int, grid: F64, asked: F64, when: F64, target: F64) -> Linear
     return LinearModel(order, gain, delay, time_constant, damping[0] if damping else 1.0, rms)
 
 
-def _first_order(asked: F64, time_constant: float) -> F64:
+def _first_order(commanded: F64, time_constant: float) -> F64:
     """Returns the response of 1 / (T s + 1) to a held input, exact at the samples."""
     pole = math.exp(-_MODEL_DT / time_constant)
-    return np.asarray(lfilter([0.0, 1.0 - pole], [1.0, -pole], asked), dtype=np.float64)
+    return np.asarray(lfilter([0.0, 1.0 - pole], [1.0, -pole], commanded), dtype=np.float64)
 
 
-def _second_order(asked: F64, period: float, damping: float) -> F64:
+def _second_order(commanded: F64, period: float, damping: float) -> F64:
     """Returns the response of w^2 / (s^2 + 2 z w s + w^2), w = 1 / period, by the bilinear transform."""
     w = 1.0 / period
     root = np.emath.sqrt(damping**2 - 1.0)
     zeros, poles, gain = bilinear_zpk([], [w * (-damping + root), w * (-damping - root)], w**2, 1.0 / _MODEL_DT)
     b, a = zpk2tf(zeros, poles, gain)
-    return np.asarray(lfilter(np.real(b), np.real(a), asked), dtype=np.float64)
+    return np.asarray(lfilter(np.real(b), np.real(a), commanded), dtype=np.float64)

@@ -25,7 +25,7 @@ def robot_file(robot: str) -> Path:
     """Returns the ``robot.yaml`` of a name, a folder or a file.
 
     Raises:
-        RobotError: there is none.
+        RobotError: the file does not exist.
     """
     load_robot(robot)
     path = find_robot_file(robot)
@@ -53,7 +53,7 @@ def write_fitted(source: Path, parameters: Iterable[Parameter], output: Path) ->
         robot = yaml.load(source.read_text(encoding="utf-8"))
     except (YAMLError, OSError) as error:
         raise RobotError(f"{source}: cannot be read: {' '.join(str(error).split())}") from error
-    # The copy may lie anywhere.
+    # The copy may be in any folder.
     robot["urdf"] = str((source.parent / robot["urdf"]).resolve())
     for parameter in parameters:
         if parameter.changes:
@@ -71,11 +71,11 @@ def _set(robot: Any, parameter: Parameter) -> None:
         section = robot[parameter.section] = CommentedMap()
     if isinstance(section, list):
         section = section[parameter.index]
-    had = parameter.key in section
+    is_given = parameter.key in section
     section[parameter.key] = rounded(parameter)
-    was = f"was {parameter.old:g}" if had else f"was not given, which is {parameter.old:g}"
+    comment = f"was {parameter.old:g}" if is_given else f"was not given, which is {parameter.old:g}"
     if isinstance(section, CommentedMap) and not section.fa.flow_style():
-        section.yaml_add_eol_comment(f"fitted; {was}", parameter.key)
+        section.yaml_add_eol_comment(f"fitted; {comment}", parameter.key)
 
 
 def rounded(parameter: Parameter) -> float | int:

@@ -27,7 +27,7 @@ def held(t: F64, values: F64, when: F64, timeout: float) -> F64:
 
 
 def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Returns (first, one past the last) of every run of True."""
+    """Returns the index range (first, one past the last) of every run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
@@ -40,10 +40,10 @@ def rests(
     least: float = 2.0,
     margin: float = 0.5,
 ) -> list[tuple[float, float]]:
-    """Returns (begin, end), seconds, of the times at which the robot stands.
+    """Returns the intervals (begin, end), seconds, in which the robot stands still.
 
-    It stands if wheel odometry and commands are zero and the spread of the IMU over half a second is near the least one of the
-    recording.
+    The robot stands still if wheel odometry and commands are zero and the spread of the IMU over half a second is near the minimum of
+    the recording.
 
     Args:
         imu: Samples of the IMU, if any.
@@ -62,8 +62,8 @@ def rests(
         moving = (np.abs(linear) > STILL_LINEAR) | (np.abs(angular) > STILL_ANGULAR)
         still &= np.interp(when, track.t, moving.astype(np.float64), left=1.0, right=1.0) == 0.0
     if commands is not None and len(commands.t):
-        asked = np.hypot(held(commands.t, commands.linear, when, 0.5), held(commands.t, commands.angular, when, 0.5))
-        still &= asked == 0.0
+        commanded = np.hypot(held(commands.t, commands.linear, when, 0.5), held(commands.t, commands.angular, when, 0.5))
+        still &= commanded == 0.0
     if imu is not None and len(imu.t) > 1:
         still &= _calm(imu, when)
     found = [(when[a] + margin, when[b - 1] - margin) for a, b in stretches(still)]

@@ -1,4 +1,4 @@
-"""Writes image files in a few threads, and tables."""
+"""Writes image files in background threads, and tables."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def image_suffix(picture: CameraImage, image: str, depth: str) -> str:
 
     Args:
         picture: the image.
-        image: format of colour images, ``png`` or ``jpg``; compressed images keep theirs.
+        image: format of colour images, ``png`` or ``jpg``; compressed images keep their format.
         depth: format of depth images, ``png`` or ``npy``.
     """
     kind = picture.stream.kind
@@ -45,10 +45,10 @@ def image_suffix(picture: CameraImage, image: str, depth: str) -> str:
 
 
 class ImageFiles:
-    """Writes images in background threads. Use it as a context manager.
+    """Writes images in background threads. To be used as a context manager.
 
     Args:
-        depth_per_metre: units a metre of a 16-bit depth PNG.
+        depth_per_metre: units per metre of a 16-bit depth PNG.
     """
 
     def __init__(self, depth_per_metre: float = MM_PER_METRE) -> None:

@@ -21,7 +21,7 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """What to export, and how."""
+    """Selection and formats of an export."""
 
     topics: tuple[str, ...] = ()
     """Image topics; empty = all."""
@@ -81,7 +81,7 @@ class ExportJob:
     Args:
         bag: the bag.
         output: folder; must not exist, or be empty.
-        options: what to export, and how.
+        options: selection and formats.
         advance: receives the progress.
 
     Raises:
@@ -99,7 +99,7 @@ class ExportJob:
         self.cameras, notes = find_cameras(bag, options.topics, self.begin_ns, self.end_ns + 1)
         if not self.cameras:
             raise RecordError(
-                f"bag {bag.folder} has no image from {options.begin:g} s on; it is {(end - begin) / NS_PER_S:g} s long"
+                f"bag {bag.folder} has no image after {options.begin:g} s; it is {(end - begin) / NS_PER_S:g} s long"
             )
         self.report.notes += notes
         self._poses = Poses(bag, options.poses, options.fixed_frame)
@@ -111,8 +111,8 @@ class ExportJob:
             return set(first)
         if self.options.every == 1:
             return set(camera.stamps[output].tolist())
-        found = (nearest(camera.stamps[output], stamp, self.most_ns) for stamp in first)
-        return {stamp for stamp in found if stamp is not None}
+        matching = (nearest(camera.stamps[output], stamp, self.most_ns) for stamp in first)
+        return {stamp for stamp in matching if stamp is not None}
 
     @property
     def most_ns(self) -> int:
@@ -123,19 +123,19 @@ class ExportJob:
         """Returns the source of the camera's poses; adds a note if there is none."""
         source = self._poses.of(camera)
         if source is None:
-            what = "its frame is in no /tf and /tf_static that reach "
+            reason = "no transforms of /tf and /tf_static connect its frame to "
             self.report.notes.append(
-                f"camera {camera.name} (frame {quoted(camera.frame_id)}) has no poses: {what}"
-                f"{self.options.fixed_frame or 'another frame'}, and no /scene names it"
+                f"camera {camera.name} (frame {quoted(camera.frame_id)}) has no poses: {reason}"
+                f"{self.options.fixed_frame or 'another frame'}, and no /scene contains it"
             )
         return source
 
     def images(self, cameras: Sequence[ExportCamera]) -> Iterator[CameraImage]:
         """Yields the images of cameras to export, in the order of the bag, and reports progress."""
-        wanted = {(camera.name, output): self.wanted(camera, output) for camera in cameras for output in camera.streams}
-        total, done = sum(len(stamps) for stamps in wanted.values()), 0
+        selected = {(camera.name, output): self.wanted(camera, output) for camera in cameras for output in camera.streams}
+        total, done = sum(len(stamps) for stamps in selected.values()), 0
         for picture in camera_images(self.bag, cameras, self.begin_ns, self.end_ns + 1):
-            if picture.stamp_ns in wanted[picture.camera.name, picture.output]:
+            if picture.stamp_ns in selected[picture.camera.name, picture.output]:
                 done += 1
                 self.advance(done / total)
                 yield picture

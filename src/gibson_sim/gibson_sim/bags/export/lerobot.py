@@ -1,7 +1,7 @@
 """LeRobot's data set format, version 3.0: one bag becomes one episode.
 
-Tables are Parquet (the extra ``lerobot`` installs pyarrow), colour images one H.264 video a camera. Frames are evenly spaced: each has the
-newest image, observation and command at its time. https://huggingface.co/docs/lerobot/lerobot-dataset-v3
+Tables are Parquet (the extra ``lerobot`` installs pyarrow), colour images one H.264 video per camera. Frames are evenly spaced: each has
+the newest image, observation and command at its time. https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class _Series:
     def at(self, stamps: NDArray[np.int64]) -> NDArray[np.float32]:
         """Returns the newest row at each time, (N, columns); zeros before the first."""
         newest = np.searchsorted(self.stamps, stamps, side="right") - 1
-        found = self.rows[np.maximum(newest, 0)]
-        found[newest < 0] = 0.0
-        return found.astype(np.float32)
+        values = self.rows[np.maximum(newest, 0)]
+        values[newest < 0] = 0.0
+        return values.astype(np.float32)
 
 
 def export_lerobot(job: ExportJob) -> None:
@@ -76,7 +76,7 @@ def export_lerobot(job: ExportJob) -> None:
         )
     cameras = [camera for camera in job.cameras if "rgb" in camera.streams]
     if not cameras:
-        raise RecordError(f"bag {job.bag.folder} has no colour images: draw some with `gibson-sim render`")
+        raise RecordError(f"bag {job.bag.folder} has no colour images: render some with `gibson-sim render`")
     fps = job.options.fps or max(1, round(NS_PER_S / (nominal_period_ns(cameras[0].stamps["rgb"]) or NS_PER_S)))
     first = max(int(camera.stamps["rgb"][0]) for camera in cameras)
     last = min(int(camera.stamps["rgb"][-1]) for camera in cameras)
@@ -91,9 +91,9 @@ def export_lerobot(job: ExportJob) -> None:
     stats = {key: _statistics(values.astype(np.float64)) for key, values in numbers.items()}
     for camera, (key, feature, measured) in zip(cameras, _videos(job, cameras, times, fps), strict=True):
         features[key], stats[key] = feature, measured
-        late = int(np.max(times - camera.stamps["rgb"][np.searchsorted(camera.stamps["rgb"], times, side="right") - 1]))
-        if late > 1.5 * NS_PER_S / fps:
-            job.report.notes.append(f"camera {camera.name} has gaps: an image stands for up to {late / NS_PER_S:.2f} s")
+        max_age = int(np.max(times - camera.stamps["rgb"][np.searchsorted(camera.stamps["rgb"], times, side="right") - 1]))
+        if max_age > 1.5 * NS_PER_S / fps:
+            job.report.notes.append(f"camera {camera.name} has gaps: an image stands for up to {max_age / NS_PER_S:.2f} s")
     columns: dict[str, NDArray[Any]] = {
         "timestamp": (np.arange(count) / fps).astype(np.float32),
         "frame_index": np.arange(count),
@@ -108,20 +108,20 @@ def export_lerobot(job: ExportJob) -> None:
 
 
 def _state(job: ExportJob) -> _Series:
-    """Returns odometry and joint positions, as far as the bag has them."""
+    """Returns odometry and joint positions, whichever the bag has."""
     topics = job.bag.topics()
     odometry = [t for t, i in topics.items() if i.type_name == _ODOMETRY and i.count]
-    odometry.sort(key=lambda topic: (_TRUTH in topic, topic))  # what the robot measures rather than ground truth
+    odometry.sort(key=lambda topic: (_TRUTH in topic, topic))  # measured odometry before ground truth
     joints = [t for t, i in topics.items() if i.type_name == _JOINTS and i.count and not t.endswith("joint_command")]
     parts = [_read(job, topic, _ODOMETRY_NAMES, _odometry_row) for topic in odometry[:1]]
     if not parts:
-        job.report.notes.append("there is no nav_msgs/Odometry: observation.state has joints alone")
+        job.report.notes.append("no nav_msgs/Odometry: observation.state only has joints")
     if joints:
         msg = job.bag.first(joints[0])
         names = tuple(msg.name)
         parts.append(_read(job, joints[0], names, lambda msg: _joint_row(msg, names)))
     if not parts:
-        raise RecordError(f"bag {job.bag.folder} has neither odometry nor joint states, which observation.state is made of")
+        raise RecordError(f"bag {job.bag.folder} has neither odometry nor joint states, which observation.state consists of")
     stamps = np.unique(np.concatenate([part.stamps for part in parts]))
     return _Series(
         tuple(name for part in parts for name in part.names),
@@ -135,7 +135,7 @@ def _action(job: ExportJob) -> _Series:
     topics = [t for t, i in job.bag.topics().items() if i.type_name in _TWISTS and i.count]
     topics.sort(key=lambda topic: (not topic.endswith("cmd_vel"), not topic.endswith("cmd_vel_applied"), topic))
     if not topics:
-        job.report.notes.append("there is no command (geometry_msgs/Twist or TwistStamped): action is zero")
+        job.report.notes.append("no commands (geometry_msgs/Twist or TwistStamped): action is zero")
         return _Series(_ACTION_NAMES, np.zeros(1, np.int64), np.zeros((1, 3)))
     return _read(job, topics[0], _ACTION_NAMES, _twist_row)
 
@@ -159,8 +159,8 @@ def _odometry_row(msg: Any) -> Sequence[float]:
 
 
 def _joint_row(msg: Any, names: Sequence[str]) -> Sequence[float]:
-    found = dict(zip(msg.name, msg.position, strict=False))
-    return [float(found.get(name, 0.0)) for name in names]
+    positions = dict(zip(msg.name, msg.position, strict=False))
+    return [float(positions.get(name, 0.0)) for name in names]
 
 
 def _twist_row(msg: Any) -> Sequence[float]:
@@ -207,14 +207,15 @@ def _write_video(job: ExportJob, camera: ExportCamera, times: NDArray[np.int64],
 
     write_frames(path, fps, frames(), options=_VIDEO_OPTIONS, channels="rgb24")
     values = np.concatenate([sample.reshape(-1, 3) for sample in samples]).astype(np.float64) / 255.0
-    found = _statistics(values)
+    statistics = _statistics(values)
     return {
-        name: [len(samples)] if name == "count" else np.asarray(value).reshape(3, 1, 1).tolist() for name, value in found.items()
+        name: [len(samples)] if name == "count" else np.asarray(value).reshape(3, 1, 1).tolist()
+        for name, value in statistics.items()
     }
 
 
 def _even_size(camera: ExportCamera) -> tuple[int, int]:
-    """Returns (width, height) of the video: 4:2:0 has one colour for 2x2 pixels, so an odd last column or row is left out."""
+    """Returns (width, height) of the video: 4:2:0 has one chroma sample for 2x2 pixels, so an odd last column or row is cropped."""
     return camera.width // 2 * 2, camera.height // 2 * 2
 
 
@@ -234,12 +235,12 @@ def _held(job: ExportJob, camera: ExportCamera, times: NDArray[np.int64]) -> Ite
 
 def _statistics(values: NDArray[np.float64]) -> dict[str, list[Any]]:
     """Returns minimum, maximum, mean, standard deviation, quantiles and count of each column of (N, C)."""
-    found: dict[str, list[Any]] = {
+    statistics: dict[str, list[Any]] = {
         "min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist(), "mean": values.mean(axis=0).tolist(),
         "std": values.std(axis=0).tolist(), "count": [len(values)],
     }  # fmt: skip
-    found.update({name: np.quantile(values, part, axis=0).tolist() for name, part in _QUANTILES.items()})
-    return found
+    statistics.update({name: np.quantile(values, part, axis=0).tolist() for name, part in _QUANTILES.items()})
+    return statistics
 
 
 def _write_data(folder: Path, numbers: dict[str, NDArray[np.float32]], columns: dict[str, NDArray[Any]]) -> None:

@@ -36,7 +36,7 @@ def export_nerfstudio(job: ExportJob) -> None:
     cameras = [camera for camera in job.cameras if "rgb" in camera.streams]
     if not cameras:
         raise RecordError(
-            f"bag {job.bag.folder} has no colour images, which nerfstudio needs: draw some with `gibson-sim render`"
+            f"bag {job.bag.folder} has no colour images, which nerfstudio needs: render some with `gibson-sim render`"
         )
     models = {camera.name: _model(camera) for camera in cameras}
     if len(set(models.values())) > 1:
@@ -48,12 +48,12 @@ def export_nerfstudio(job: ExportJob) -> None:
     for camera in cameras:
         frames += _frames(job, camera, model, files[camera.name])
     if any("depth_file_path" in frame for frame in frames):
-        kept = [frame for frame in frames if "depth_file_path" in frame]
-        if len(kept) < len(frames):
+        complete = [frame for frame in frames if "depth_file_path" in frame]
+        if len(complete) < len(frames):
             job.report.notes.append(
-                f"{len(frames) - len(kept)} images without depth are left out: nerfstudio wants one for all or for none"
+                f"{len(frames) - len(complete)} images without depth are left out: nerfstudio requires depth for all images or for none"
             )
-        frames = kept
+        frames = complete
     if not frames:
         raise RecordError(f"no image of bag {job.bag.folder} has a pose: " + "; ".join(job.report.notes))
     document = {
@@ -70,18 +70,20 @@ def _model(camera: ExportCamera) -> str:
     """Returns nerfstudio's name for the camera's model."""
     lens = camera.lens
     if lens is None:
-        raise RecordError(f"camera {camera.name} has no camera_info beside {camera.streams['rgb'].topic}: record it too")
+        raise RecordError(
+            f"camera {camera.name} has no camera_info in the namespace of {camera.streams['rgb'].topic}: record it too"
+        )
     model = _MODELS.get(lens.model)
     if model is None or not lens.is_projective or len(lens.d) > 5:
         raise RecordError(
-            f"camera {camera.name} has the model {quoted(lens.model)} with {len(lens.d)} numbers, which nerfstudio has not: draw the run "
+            f"camera {camera.name} has the model {quoted(lens.model)} with {len(lens.d)} numbers, which nerfstudio does not support: render the run "
             "again with a pinhole camera (`gibson-sim render`), or export to png"
         )
     return model
 
 
 def intrinsics(camera: ExportCamera, model: str) -> dict[str, float]:
-    """Returns the calibration in nerfstudio's terms."""
+    """Returns the intrinsics with nerfstudio's keys, pixels."""
     assert camera.lens is not None
     k = camera.lens.k
     values: dict[str, float] = {
@@ -95,7 +97,9 @@ def _write_images(job: ExportJob, cameras: Sequence[ExportCamera], *, with_depth
     """Writes the images; returns their file names by camera, output and stamp."""
     files: dict[str, dict[str, dict[int, str]]] = {camera.name: {"rgb": {}, "depth": {}} for camera in cameras}
     if not with_depth and any("depth" in camera.streams for camera in cameras):
-        job.report.notes.append("depth is left out: that of a fisheye counts from its centre, nerfstudio's along the axis")
+        job.report.notes.append(
+            "depth is left out: depth of a fisheye is measured from its centre, nerfstudio's along the optical axis"
+        )
     with ImageFiles(MM_PER_METRE) as writer:
         for picture in job.images(cameras):
             if picture.output != "rgb" and not (with_depth and picture.output == "depth"):
@@ -112,21 +116,23 @@ def _frames(job: ExportJob, camera: ExportCamera, model: str, files: dict[str, d
     source = job.pose_source(camera)
     if source is None:
         return []
-    frames, lost = [], 0
+    frames, without_pose = [], 0
     depths = np.array(sorted(files["depth"]), dtype=np.int64)
     for stamp, name in sorted(files["rgb"].items()):
         T_world_optical = source.pose(camera, stamp)
         if T_world_optical is None:
-            lost += 1
+            without_pose += 1
             continue
         frame: dict[str, Any] = {
             "file_path": name,
             "transform_matrix": (T_world_optical @ OPENGL_FROM_OPTICAL).tolist(),
             **intrinsics(camera, model),
         }
-        if (other := nearest(depths, stamp, job.most_ns)) is not None:
-            frame["depth_file_path"] = files["depth"][other]
+        if (depth_stamp := nearest(depths, stamp, job.most_ns)) is not None:
+            frame["depth_file_path"] = files["depth"][depth_stamp]
         frames.append(frame)
-    if lost:
-        job.report.notes.append(f"camera {camera.name}: {lost} images are left out, since {source.text} has no pose for them")
+    if without_pose:
+        job.report.notes.append(
+            f"camera {camera.name}: {without_pose} images are left out, since {source.text} has no pose for them"
+        )
     return frames

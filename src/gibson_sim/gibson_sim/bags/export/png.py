@@ -1,4 +1,4 @@
-"""Plain files: images, a table for each camera with one row an image, and tables of other measurements."""
+"""Plain files: images, a table for each camera with one row per image, and tables of other measurements."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def _write_frames(job: ExportJob, camera: ExportCamera, files: dict[str, dict[in
             T = source.pose(camera, stamp) if source is not None else None
             pose = [""] * len(_POSE)
             if T is not None:
-                found = pose_from_matrix(T)
-                pose = [repr(value) for value in (*found.position, *found.quat_xyzw)]
+                position_and_quat = pose_from_matrix(T)
+                pose = [repr(value) for value in (*position_and_quat.position, *position_and_quat.quat_xyzw)]
             names = [files[output].get(nearest(stamps[output], stamp, job.most_ns) or -1, "") for output in files]
             yield (stamp, seconds(stamp), *pose, *names)
 

@@ -91,12 +91,12 @@ class StatePoses:
                 self._mounts[camera.name] = ("" if camera.link < 0 else msg.links[camera.link], mount)
                 if camera.name not in self._frames.setdefault(camera.frame_id, []):
                     self._frames[camera.frame_id].append(camera.name)
-        wanted = {link for link, _ in self._mounts.values()}
-        self._tracks: dict[str, PoseTrack] = {link: PoseTrack() for link in wanted}
+        mount_links = {link for link, _ in self._mounts.values()}
+        self._tracks: dict[str, PoseTrack] = {link: PoseTrack() for link in mount_links}
         for _, _, msg in bag.messages([state_topic]):
             stamp = header_stamp_ns(msg.header.stamp)
             for row, link in zip(msg.poses.reshape(-1, 7), links.get(msg.revision, ()), strict=False):
-                if link in wanted:
+                if link in mount_links:
                     self._tracks[link].add(stamp, row)
 
     def has(self, camera: ExportCamera) -> bool:
@@ -125,7 +125,7 @@ class TransformPoses:
     Args:
         bag: the bag.
         fixed: frame of the poses; empty = the first of map, odom and world that is an ancestor of the camera.
-        prefix: namespace whose transform topics are read, beside the global ones.
+        prefix: namespace whose transform topics are read in addition to the global ones.
     """
 
     def __init__(self, bag: BagReader, fixed: str, prefix: str = "") -> None:
@@ -158,8 +158,8 @@ class TransformPoses:
         chain = self._chain(camera.frame_id.strip("/"))
         if len(chain) < 2:
             return ""
-        wanted = (self._fixed,) if self._fixed else _FIXED_FRAMES
-        return next((frame for frame in wanted if frame in chain), "" if self._fixed else chain[-1])
+        candidates = (self._fixed,) if self._fixed else _FIXED_FRAMES
+        return next((frame for frame in candidates if frame in chain), "" if self._fixed else chain[-1])
 
     def _chain(self, frame: str) -> list[str]:
         """Returns a frame and its ancestors."""
@@ -189,7 +189,7 @@ class Poses:
 
     Args:
         bag: the bag.
-        source: ``auto`` = states of a simulation if its scene has the camera, else tf; ``scene`` or ``tf`` = that alone.
+        source: ``auto`` = states of a simulation if its scene has the camera, else tf; ``scene`` or ``tf`` = only that source.
         fixed: see ``TransformPoses``.
     """
 
@@ -198,7 +198,7 @@ class Poses:
         topics = {info.type_name: topic for topic, info in bag.topics().items() if info.count}
         has_states = SCENE_TYPE in topics and STATE_TYPE in topics
         if source == "scene" and not has_states:
-            raise RecordError(f"bag {bag.folder} has no /scene and /scene_state: use --poses tf, or record these two")
+            raise RecordError(f"bag {bag.folder} has no /scene and /scene_state: use --poses tf, or record both topics")
         self._states = StatePoses(bag, topics[SCENE_TYPE], topics[STATE_TYPE]) if has_states and source != "tf" else None
         self._source = source
         self._trees: dict[str, TransformPoses] = {}

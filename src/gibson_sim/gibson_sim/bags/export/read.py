@@ -1,4 +1,4 @@
-"""Finds what a bag has to export: its cameras, the topics of their images, and their stamps."""
+"""Finds the cameras of a bag, the topics of their images, and their stamps."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def find_cameras(
     """Returns the cameras of a bag with the stamps of their images between two log times, and one note on each topic left out.
 
     Raises:
-        RecordError: there is no image, or a topic is not in the bag.
+        RecordError: the bag has no images, or lacks a requested topic.
     """
     infos = bag.topics()
     unknown = [topic for topic in topics if topic not in infos]
@@ -113,15 +113,15 @@ def find_cameras(
     streams = []
     for topic, info in infos.items():
         if info.type_name in (IMAGE, COMPRESSED) and info.count and (not topics or topic in topics):
-            found = _stream(bag, topic, info.type_name)
-            if isinstance(found, str):
-                notes.append(f"{topic} is left out: {found}")
+            stream_or_reason = _stream(bag, topic, info.type_name)
+            if isinstance(stream_or_reason, str):
+                notes.append(f"{topic} is left out: {stream_or_reason}")
             else:
-                streams.append(found)
+                streams.append(stream_or_reason)
     if not streams:
         raise RecordError(
             f"bag {bag.folder} has no images that can be exported" + (f" ({'; '.join(notes)})" if notes else "")
-            + ": record sensor_msgs/Image or CompressedImage topics, or draw them with `gibson-sim render`"
+            + ": record sensor_msgs/Image or CompressedImage topics, or render them with `gibson-sim render`"
         )  # fmt: skip
     cameras = _grouped(bag, streams, notes)
     stamps = _stamps(bag, [stream.topic for camera in cameras for stream in camera.streams.values()], begin_ns, end_ns)
@@ -145,7 +145,9 @@ def _stream(bag: BagReader, topic: str, type_name: str) -> Stream | str:
         return Stream(topic, type_name, "color", suffix, msg.header.frame_id, image.width, image.height)
     kind = _kind(msg.encoding, topic)
     if kind is None:
-        return f"encoding {quoted(msg.encoding)} is not known: convert it to one of {', '.join((*_COLORS, *_DEPTHS, *_VECTORS))}"
+        return (
+            f"encoding {quoted(msg.encoding)} is not supported: convert it to one of {', '.join((*_COLORS, *_DEPTHS, *_VECTORS))}"
+        )
     return Stream(topic, type_name, kind, msg.encoding, msg.header.frame_id, msg.width, msg.height)
 
 
@@ -176,9 +178,9 @@ def _grouped(bag: BagReader, streams: Sequence[Stream], notes: list[str]) -> lis
             continue
         alike = [
             folder
-            for folder, own in members.items()
+            for folder, outputs in members.items()
             if _common(folder, stream.folder)
-            and {(s.frame_id, s.width, s.height) for s in own.values()} == {(stream.frame_id, stream.width, stream.height)}
+            and {(s.frame_id, s.width, s.height) for s in outputs.values()} == {(stream.frame_id, stream.width, stream.height)}
         ]
         output = "depth" if stream.kind == "depth" else stream.folder[-1]
         parent = max(alike, key=lambda folder: _common(folder, stream.folder), default=stream.folder[:-1] or stream.folder)
@@ -188,11 +190,17 @@ def _grouped(bag: BagReader, streams: Sequence[Stream], notes: list[str]) -> lis
     lenses = _lenses(bag)
     return [
         ExportCamera(
-            "_".join(folder), "/".join(folder), first.frame_id, first.width, first.height, own, _lens_of(lenses, own.values())
+            "_".join(folder),
+            "/".join(folder),
+            first.frame_id,
+            first.width,
+            first.height,
+            outputs,
+            _lens_of(lenses, outputs.values()),
         )
-        for folder, own in members.items()
-        if own
-        for first in [next(iter(own.values()))]
+        for folder, outputs in members.items()
+        if outputs
+        for first in [next(iter(outputs.values()))]
     ]
 
 
@@ -203,12 +211,12 @@ def _common(a: tuple[str, ...], b: tuple[str, ...]) -> int:
 
 def _lenses(bag: BagReader) -> dict[str, Lens]:
     """Returns the calibration of each camera_info topic by its first message."""
-    found = {}
+    lenses = {}
     for topic, info in bag.topics().items():
         if info.type_name == INFO and info.count:
             msg = bag.first(topic)
-            found[topic] = Lens(msg.distortion_model, tuple(map(float, msg.k)), tuple(map(float, msg.d)))
-    return found
+            lenses[topic] = Lens(msg.distortion_model, tuple(map(float, msg.k)), tuple(map(float, msg.d)))
+    return lenses
 
 
 def _lens_of(lenses: dict[str, Lens], streams: Any) -> Lens | None:
@@ -221,10 +229,10 @@ def _lens_of(lenses: dict[str, Lens], streams: Any) -> Lens | None:
 
 
 def _stamps(bag: BagReader, topics: Sequence[str], begin_ns: int | None, end_ns: int | None) -> dict[str, NDArray[np.int64]]:
-    found: dict[str, list[int]] = {topic: [] for topic in topics}
+    stamps_by_topic: dict[str, list[int]] = {topic: [] for topic in topics}
     for topic, _, data in bag.raw_messages(topics, start_ns=begin_ns, stop_ns=end_ns):
-        found[topic].append(stamp_ns(data))
-    return {topic: np.unique(np.array(stamps, dtype=np.int64)) for topic, stamps in found.items()}
+        stamps_by_topic[topic].append(stamp_ns(data))
+    return {topic: np.unique(np.array(stamps, dtype=np.int64)) for topic, stamps in stamps_by_topic.items()}
 
 
 def nearest(stamps: NDArray[np.int64], stamp: int, most_ns: int) -> int | None:
@@ -247,7 +255,7 @@ class CameraImage:
 
     @property
     def stream(self) -> Stream:
-        """The stream that it belongs to."""
+        """Stream of the image."""
         return self.camera.streams[self.output]
 
     def encoded(self) -> bytes | None:
@@ -286,7 +294,7 @@ def camera_images(
 
 
 def depth_in_units(metres: NDArray[np.float32], per_metre: float) -> NDArray[np.uint16]:
-    """Returns 16-bit depth; 0 = nothing there, too far for 16 bits, or not measured (REP 118)."""
+    """Returns 16-bit depth, ``per_metre`` units per metre; 0 = no surface, too far for 16 bits, or not measured (REP 118)."""
     units = np.nan_to_num(metres * np.float32(per_metre), nan=0.0, posinf=0.0, neginf=0.0).round()
     units[(units < 0) | (units > 65535)] = 0
     return np.asarray(units, dtype=np.uint16)

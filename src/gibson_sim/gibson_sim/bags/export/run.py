@@ -36,7 +36,7 @@ def export_bag(
         try:
             _WRITERS[to](job)
         except BaseException:
-            # A partial data set looks like a complete one; the folder was empty before.
+            # A partial data set is indistinguishable from a complete one; the folder was empty before.
             shutil.rmtree(job.output, ignore_errors=True)
             raise
         return job.report

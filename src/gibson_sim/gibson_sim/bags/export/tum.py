@@ -1,7 +1,7 @@
 """The TUM RGB-D format: lists of images with their times, and a trajectory.
 
 ``rgb.txt``, ``depth.txt`` (time, file), ``associations.txt`` (both, matched), ``groundtruth.txt`` (time tx ty tz qx qy qz qw of the optical
-frame in the world). Depth images are 16-bit PNG with 5000 units a metre, as the format prescribes.
+frame in the world). Depth images are 16-bit PNG with 5000 units per metre, as the format prescribes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DEPTH_PER_METRE = 5000.0
 
 
 def export_tum(job: ExportJob) -> None:
-    """Writes one sequence a camera, each in a folder of its own if there are several."""
+    """Writes one sequence per camera, each in a separate folder if there are several."""
     cameras = [camera for camera in job.cameras if {"rgb", "depth"} & set(camera.streams)]
     for camera in cameras:
         folder = job.output / camera.name if len(cameras) > 1 else job.output
@@ -64,9 +64,9 @@ def _associations(files: dict[str, dict[int, str]], most_ns: int) -> list[str]:
     depths = np.array(sorted(files["depth"]), dtype=np.int64)
     lines = []
     for stamp, name in sorted(files["rgb"].items()):
-        other = nearest(depths, stamp, most_ns)
-        if other is not None:
-            lines.append(f"{seconds(stamp)} {name} {seconds(other)} {files['depth'][other]}")
+        depth_stamp = nearest(depths, stamp, most_ns)
+        if depth_stamp is not None:
+            lines.append(f"{seconds(stamp)} {name} {seconds(depth_stamp)} {files['depth'][depth_stamp]}")
     return lines
 
 

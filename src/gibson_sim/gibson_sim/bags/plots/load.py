@@ -1,4 +1,4 @@
-"""Reads from a bag what is plotted. The bag may be that of a real robot, without truth and without a map."""
+"""Reads the plotted data from a bag, which may be that of a real robot, without ground truth and without a map."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _MAP_HEIGHT = 0.5
 _LARGEST = 1e10
 """Maximum of coordinates, velocities and times that are drawn, SI units; larger values are damaged."""
 _QUIET = ("/parameter_events", "/rosout")
-"""Topics of every node that have no rate."""
+"""Topics of every node that are not periodic."""
 _LEAST_ARRIVALS = 3
 """Minimum number of messages for which the rate of a topic is shown."""
 
 
 def load_run(folder: Path, robot: str = "") -> RecordedRun:
-    """Returns what is plotted of a bag.
+    """Returns the plotted data of a bag.
 
     Args:
-        folder: of the bag.
+        folder: folder of the bag.
         robot: namespace of the only robot to show; empty = all.
 
     Raises:
@@ -47,31 +47,33 @@ def load_run(folder: Path, robot: str = "") -> RecordedRun:
     with BagReader(folder) as bag:
         infos = {name: info for name, info in bag.topics().items() if info.count}
         if not infos:
-            raise RecordError(f"bag {folder} holds no messages: there is nothing to plot")
+            raise RecordError(f"bag {folder} contains no messages: nothing to plot")
         names = robot_namespaces(infos)
         if robot and robot.strip("/") not in names:
-            there = ", ".join(name for name in names if name) or "one without a namespace: leave --robot out"
+            available = ", ".join(name for name in names if name) or "one without a namespace: leave --robot out"
             hint = nearest(robot, [name for name in names if name])
-            raise ConfigError(f"--robot {quoted(robot)}: the bag has {there}{f'; {hint}' if hint else ''}")
+            raise ConfigError(f"--robot {quoted(robot)}: the bag has {available}{f'; {hint}' if hint else ''}")
         reading = _Reading(bag, infos, (robot.strip("/"),) if robot else names)
         reading.read()
         return reading.run()
 
 
-class _OfRobot:
+class _RobotData:
     """Topics and data of one robot while the bag is read."""
 
     def __init__(self, name: str, infos: Mapping[str, TopicInfo]) -> None:
         self.name = name
         prefix = f"/{name}" if name else ""
-        own = {topic.removeprefix(prefix): info for topic, info in infos.items() if topic.startswith(f"{prefix}/")}
-        truths = [topic for topic in own if topic.rpartition("/")[0].endswith("/ground_truth")]
-        # Of the others: the only odometry of a bag counts as the wheels', whatever its name.
-        found = roles.find_topics({topic: info for topic, info in own.items() if topic not in truths}, {}, "")
+        robot_infos = {topic.removeprefix(prefix): info for topic, info in infos.items() if topic.startswith(f"{prefix}/")}
+        truths = [topic for topic in robot_infos if topic.rpartition("/")[0].endswith("/ground_truth")]
+        # Among the other topics, the only odometry of a bag counts as wheel odometry, whatever its name.
+        topics = roles.find_topics({topic: info for topic, info in robot_infos.items() if topic not in truths}, {}, "")
         role_of = {
-            found[role]: use for role, use in (("cmd_vel", "cmd_vel"), ("odom", "odom"), ("truth", "estimate")) if role in found
+            topics[role]: stored_as
+            for role, stored_as in (("cmd_vel", "cmd_vel"), ("odom", "odom"), ("truth", "estimate"))
+            if role in topics
         }
-        role_of.update({topic: "truth" for topic in truths[:1] if own[topic].type_name in (roles.ODOMETRY, roles.POSE)})
+        role_of.update({topic: "truth" for topic in truths[:1] if robot_infos[topic].type_name in (roles.ODOMETRY, roles.POSE)})
         self.role_of = {prefix + topic: role for topic, role in role_of.items()}
         self.rows: dict[str, list[tuple[float, ...]]] = {
             "cmd_vel": [],
@@ -84,7 +86,7 @@ class _OfRobot:
 
     def topic(self, role: str) -> str:
         """Returns the topic of a role; empty = the bag has none."""
-        return next((topic for topic, is_for in self.role_of.items() if is_for == role), "")
+        return next((topic for topic, stored_as in self.role_of.items() if stored_as == role), "")
 
 
 class _Reading:
@@ -93,7 +95,7 @@ class _Reading:
     def __init__(self, bag: BagReader, infos: Mapping[str, TopicInfo], names: tuple[str, ...]) -> None:
         self._bag, self._infos = bag, infos
         self._origin_ns = origin_ns(bag)
-        self._robots = [_OfRobot(name, infos) for name in names]
+        self._robots = [_RobotData(name, infos) for name in names]
         self._owner = {topic: (robot, role) for robot in self._robots for topic, role in robot.role_of.items()}
         self._touches = TouchFinder(infos, names, robot_bodies(bag, names))
         self._log: dict[str, list[int]] = {topic: [] for topic in infos}
@@ -102,7 +104,7 @@ class _Reading:
         self._notes: list[str] = []
 
     def read(self) -> None:
-        """Reads all messages once; decodes only those that are drawn."""
+        """Reads all messages once; decodes only those that are plotted."""
         for topic, log_ns, data in self._bag.raw_messages():
             self._log[topic].append(log_ns)
             info, t = self._infos[topic], (log_ns - self._origin_ns) / NS_PER_S
@@ -115,7 +117,7 @@ class _Reading:
             elif self._touches.needs(topic):
                 self._touches.add(topic, t, self._bag.decode(info.type_name, data))
 
-    def _add(self, robot: _OfRobot, role: str, t: float, msg: Any) -> None:
+    def _add(self, robot: _RobotData, role: str, t: float, msg: Any) -> None:
         if role == "cmd_vel":
             twist = getattr(msg, "twist", msg)
             robot.rows[role].append((t, twist.linear.x, twist.linear.y, twist.angular.z))
@@ -129,15 +131,15 @@ class _Reading:
         robot.rows[role].append((t, pose.position.x, pose.position.y, yaw_from_quat((q.x, q.y, q.z, q.w)), *v))
 
     def _transforms(self, topic: str, t: float, msg: Any) -> None:
-        """Keeps the transforms map -> odom of each robot, by its namespace or the prefix of its frames."""
-        for one in msg.transforms:
-            parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
+        """Stores the transforms map -> odom of each robot, identified by its namespace or the prefix of its frames."""
+        for transform in msg.transforms:
+            parent, child = transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")
             if parent.rpartition("/")[2] != "map" or child.rpartition("/")[2] != "odom":
                 continue
             for robot in self._robots:
                 if robot.name in ("", topic.rpartition("/")[0].strip("/"), child.rpartition("/")[0]):
-                    move, q = one.transform.translation, one.transform.rotation
-                    robot.rows["map_from_odom"].append((t, move.x, move.y, yaw_from_quat((q.x, q.y, q.z, q.w))))
+                    translation, q = transform.transform.translation, transform.transform.rotation
+                    robot.rows["map_from_odom"].append((t, translation.x, translation.y, yaw_from_quat((q.x, q.y, q.z, q.w))))
 
     def run(self) -> RecordedRun:
         """Returns the run from the messages read."""
@@ -147,10 +149,10 @@ class _Reading:
         floor = self._floor(robots)
         started = datetime.fromtimestamp(first_ns / NS_PER_S, timezone.utc)
         label = f"seconds since {started:%Y-%m-%d %H:%M:%S} UTC" if self._origin_ns else "simulation time, s"
-        shown = [topic for topic, info in self._infos.items() if not info.latched and not topic.endswith(_QUIET)]
+        unlatched = [topic for topic, info in self._infos.items() if not info.latched and not topic.endswith(_QUIET)]
         arrivals = tuple(
             Arrivals(topic, (np.array(self._log[topic], dtype=np.int64) - self._origin_ns) / NS_PER_S)
-            for topic in shown
+            for topic in unlatched
             if len(self._log[topic]) >= _LEAST_ARRIVALS
         )
         return RecordedRun(
@@ -158,7 +160,7 @@ class _Reading:
             bool(self._touches.topics), arrivals, tuple(self._notes),
         )  # fmt: skip
 
-    def _robot(self, robot: _OfRobot, touches: tuple[Touch, ...]) -> RobotRun:
+    def _robot(self, robot: _RobotData, touches: tuple[Touch, ...]) -> RobotRun:
         odometry, truth = _track(robot, "odom"), _track(robot, "truth")
         estimate = _track(robot, "estimate") or _by_transforms(robot, odometry)
         if truth is not None and estimate is not None and _distance(truth, estimate) < _SAME_M:
@@ -172,43 +174,48 @@ class _Reading:
         )  # fmt: skip
 
     def _floor(self, robots: tuple[RobotRun, ...]) -> Floor | None:
-        """Returns the map of the bag, else that of its scene; None where no pose is known in it."""
+        """Returns the map of the bag, else that of its scene; None if no pose in the map is known."""
         if not any(robot.truth or robot.estimate for robot in robots):
             if self._map is not None:
                 self._notes.append(
-                    "the map is left out: the bag has neither a true pose nor a localiser's, so the odometry's place in it is unknown"
+                    "the map is left out: the bag has neither a true pose nor that of a localiser, so the pose of the odometry in it is unknown"
                 )
             return None
         if self._map is None:
             return self._floor_of_scene()
         info, cells = self._map.info, np.asarray(self._map.data, dtype=np.int8)
-        numbers = float(info.resolution), float(info.origin.position.x), float(info.origin.position.y)
-        if len(cells) != info.width * info.height or not len(cells) or not _is_sane(np.array(numbers)).all() or numbers[0] <= 0.0:
+        geometry = float(info.resolution), float(info.origin.position.x), float(info.origin.position.y)
+        if (
+            len(cells) != info.width * info.height
+            or not len(cells)
+            or not _is_sane(np.array(geometry)).all()
+            or geometry[0] <= 0.0
+        ):
             self._notes.append(
-                f"the map is left out: {self._map_topic} has {info.width}x{info.height} cells of {numbers[0]:g} m, and values for {len(cells)}"
+                f"the map is left out: {self._map_topic} has {info.width}x{info.height} cells of {geometry[0]:g} m, and values for {len(cells)}"
             )
             return None
-        return Floor(cells.reshape(info.height, info.width), numbers[0], numbers[1:], self._map_topic)
+        return Floor(cells.reshape(info.height, info.width), geometry[0], geometry[1:], self._map_topic)
 
     def _floor_of_scene(self) -> Floor | None:
         name = str(read_facts(self._bag.folder).settings.get("physics", {}).get("scene", ""))
         if not name:
             return None
-        # Loaded here: most bags have a map.
+        # Imported only when needed: most bags have a map.
         from gibson_sim.maps.floor_map import scene_floor_map
         from gibson_sim.scenes.load import load_scene
 
         try:
             floor = scene_floor_map(load_scene(name), robot_height=_MAP_HEIGHT)
         except GibsonSimError as error:
-            self._notes.append(f"there is no map: the bag has none, and that of its scene cannot be made ({error})")
+            self._notes.append(f"there is no map: the bag has none, and that of its scene cannot be computed ({error})")
             return None
         cells = np.where(floor.occupied, 100, np.where(floor.floor, 0, -1)).astype(np.int8)
         return Floor(cells, floor.resolution, floor.origin, f"scene {name}")
 
 
 def _map_topic(infos: Mapping[str, TopicInfo]) -> str:
-    """Returns the topic of the map: ``/map``, else the only grid that is no costmap; empty = there is none."""
+    """Returns the topic of the map: ``/map``, else the only grid that is not a costmap; empty = there is none."""
     grids = [name for name, info in infos.items() if info.type_name == roles.MAP and "costmap" not in name]
     if "/map" in grids:
         return "/map"
@@ -216,12 +223,12 @@ def _map_topic(infos: Mapping[str, TopicInfo]) -> str:
 
 
 def _is_sane(values: F64) -> NDArray[np.bool_]:
-    """Returns which values are finite and no larger than anything on Earth."""
+    """Returns a mask of the values that are finite and smaller than ``_LARGEST``."""
     return np.asarray(np.isfinite(values) & (np.abs(values) < _LARGEST))
 
 
 def _table(rows: list[tuple[float, ...]]) -> F64 | None:
-    """Returns rows with usable poses as an array, (N, C), sorted by strictly increasing time; None if there are fewer than two."""
+    """Returns the rows with valid poses as an array, (N, C), sorted by strictly increasing time; None if there are fewer than two."""
     if len(rows) < 2:
         return None
     table = np.array(rows, dtype=np.float64)
@@ -230,14 +237,14 @@ def _table(rows: list[tuple[float, ...]]) -> F64 | None:
     return table[first] if len(first) > 1 else None
 
 
-def _track(robot: _OfRobot, role: str) -> Track | None:
+def _track(robot: _RobotData, role: str) -> Track | None:
     table = _table(robot.rows[role])
     if table is None:
         return None
     return Track(table[:, 0], table[:, 1], table[:, 2], np.unwrap(table[:, 3]), robot.topic(role))
 
 
-def _velocities(robot: _OfRobot, role: str) -> Velocities | None:
+def _velocities(robot: _RobotData, role: str) -> Velocities | None:
     table = _table(robot.rows[role])
     if table is not None:
         table = table[_is_sane(table[:, 4:]).all(axis=1)]
@@ -246,7 +253,7 @@ def _velocities(robot: _OfRobot, role: str) -> Velocities | None:
     return Velocities(table[:, 0], table[:, 4], table[:, 5], table[:, 6], robot.topic(role))
 
 
-def _commands(robot: _OfRobot) -> Velocities | None:
+def _commands(robot: _RobotData) -> Velocities | None:
     table = np.array(robot.rows["cmd_vel"], dtype=np.float64).reshape(-1, 4)
     table = table[_is_sane(table).all(axis=1)]
     if not len(table):
@@ -254,25 +261,25 @@ def _commands(robot: _OfRobot) -> Velocities | None:
     return Velocities(table[:, 0], table[:, 1], table[:, 2], table[:, 3], robot.topic("cmd_vel"))
 
 
-def _by_transforms(robot: _OfRobot, odometry: Track | None) -> Track | None:
+def _by_transforms(robot: _RobotData, odometry: Track | None) -> Track | None:
     """Returns odometry in the map frame by a localiser's transforms map -> odom; None = there are none."""
     rows = robot.rows["map_from_odom"]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
     table = table[_is_sane(table).all(axis=1)]
     if odometry is None or not len(table):
         return None
-    known = odometry.t >= table[0, 0]
-    if np.count_nonzero(known) < 2:
+    is_known = odometry.t >= table[0, 0]
+    if np.count_nonzero(is_known) < 2:
         return None
-    at = np.searchsorted(table[:, 0], odometry.t[known], side="right") - 1
-    x, y, yaw = table[at, 1], table[at, 2], np.unwrap(table[:, 3])[at]
+    rows_at = np.searchsorted(table[:, 0], odometry.t[is_known], side="right") - 1
+    x, y, yaw = table[rows_at, 1], table[rows_at, 2], np.unwrap(table[:, 3])[rows_at]
     c, s = np.cos(yaw), np.sin(yaw)
-    ox, oy = odometry.x[known], odometry.y[known]
-    return Track(odometry.t[known], x + c * ox - s * oy, y + s * ox + c * oy, odometry.yaw[known] + yaw, "tf map -> odom")
+    ox, oy = odometry.x[is_known], odometry.y[is_known]
+    return Track(odometry.t[is_known], x + c * ox - s * oy, y + s * ox + c * oy, odometry.yaw[is_known] + yaw, "tf map -> odom")
 
 
 def _distance(a: Track, b: Track) -> float:
-    """Returns the greatest distance of two tracks at the times that both have, metres; infinite if they have none in common."""
+    """Returns the maximum distance between two tracks at common times, metres; infinite if they do not overlap in time."""
     t = b.t[(b.t >= a.t[0]) & (b.t <= a.t[-1])]
     if not len(t):
         return float("inf")

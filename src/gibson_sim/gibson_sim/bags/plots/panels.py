@@ -8,12 +8,12 @@ import numpy as np
 
 from gibson_sim.bags.plots.run_data import F64, Floor, RecordedRun, RobotRun, Track
 
-INK, ASKED, RED = "#111827", "#9ca3af", "#dc2626"
+INK, COMMAND_COLOUR, RED = "#111827", "#9ca3af", "#dc2626"
 ROBOT_COLOURS = ("#1d4ed8", "#c2410c", "#047857", "#7c3aed", "#be185d", "#0e7490", "#a16207", "#4d7c0f")
 """Colours of robots; they repeat."""
 ESTIMATE = "#047857"
 """Colour of the estimate of a single robot."""
-ASKED_STYLE: tuple[str, dict[str, Any]] = ("commanded (cmd_vel)", {"linewidth": 1.6, "linestyle": "--"})
+COMMAND_STYLE: tuple[str, dict[str, Any]] = ("commanded (cmd_vel)", {"linewidth": 1.6, "linestyle": "--"})
 TRUE_STYLE: tuple[str, dict[str, Any]] = ("ground truth", {"linewidth": 1.3})
 WHEEL_STYLE: tuple[str, dict[str, Any]] = ("wheel odometry", {"linewidth": 1.1, "alpha": 0.5})
 """Labels and lines of velocities."""
@@ -64,13 +64,13 @@ def contact_rows(run: RecordedRun) -> list[tuple[str, str]]:
 
 
 def draw_paths(axis: Any, run: RecordedRun) -> None:
-    """Draws the map, the paths of the robots, their starts and ends, and where they touched something."""
+    """Draws the map, the paths of the robots, their starts and ends, and the points of contact."""
     if run.floor is not None:
         _draw_floor(axis, run.floor)
     tint, alone, numbers = colours(run), len(run.robots) == 1, {key: i + 1 for i, key in enumerate(contact_rows(run))}
     for robot in run.robots:
-        for track, what, style in _tracks(robot, tint[robot.name], alone):
-            axis.plot(track.x, track.y, label=what, **style)
+        for track, name, style in _tracks(robot, tint[robot.name], alone):
+            axis.plot(track.x, track.y, label=name, **style)
         reference = robot.reference
         if reference is None:
             continue
@@ -90,14 +90,22 @@ def draw_paths(axis: Any, run: RecordedRun) -> None:
         left, right, bottom, top = _window(run, run.floor)
         axis.set(xlim=(left, right), ylim=(bottom, top))
     if any(robot.reference is not None for robot in run.robots):
-        given = axis.get_legend_handles_labels() if alone else _styles_and_robots(run, *_path_styles(run))
-        axis.legend(*given, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3 if alone else 4, fontsize=8.5)
+        handles_and_labels = axis.get_legend_handles_labels() if alone else _styles_and_robots(run, *_path_styles(run))
+        axis.legend(*handles_and_labels, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3 if alone else 4, fontsize=8.5)
     else:
-        axis.text(0.5, 0.5, "no odometry and no pose in the bag", ha="center", va="center", transform=axis.transAxes, color=ASKED)
+        axis.text(
+            0.5,
+            0.5,
+            "no odometry and no pose in the bag",
+            ha="center",
+            va="center",
+            transform=axis.transAxes,
+            color=COMMAND_COLOUR,
+        )
 
 
 def _path_styles(run: RecordedRun) -> list[tuple[str, dict[str, Any]]]:
-    """Returns the styles of the paths that there are."""
+    """Returns the styles of the available paths."""
     kinds = (("truth", PATH_STYLE), ("odometry", ODOMETRY_STYLE), ("estimate", ESTIMATE_STYLE))
     return [style for kind, style in kinds if any(getattr(robot, kind) is not None for robot in run.robots)]
 
@@ -125,14 +133,14 @@ def _tracks(robot: RobotRun, colour: str, alone: bool) -> list[tuple[Track, str,
         if robot.estimate is not None
         else ""
     )
-    found = (
+    candidates = (
         (robot.truth, "", INK, PATH_STYLE),
         (robot.odometry, onto, colour, ODOMETRY_STYLE),
         (robot.estimate, f" ({robot.estimate.source})" if robot.estimate is not None else "", ESTIMATE, ESTIMATE_STYLE),
     )
     return [
-        (track, f"{label}{more}", {**style, "color": own if alone else colour})
-        for track, more, own, (label, style) in found
+        (track, f"{label}{more}", {**style, "color": default_colour if alone else colour})
+        for track, more, default_colour, (label, style) in candidates
         if track is not None
     ]
 
@@ -146,10 +154,10 @@ def _draw_floor(axis: Any, floor: Floor) -> None:
 
 def _window(run: RecordedRun, floor: Floor) -> tuple[float, float, float, float]:
     """Returns left, right, bottom and top of the shown part of the map, metres."""
-    known = np.argwhere(floor.cells >= 0)
+    mapped = np.argwhere(floor.cells >= 0)
     left, right, bottom, top = floor.extent
-    if len(known):
-        (row0, column0), (row1, column1) = known.min(axis=0), known.max(axis=0) + 1
+    if len(mapped):
+        (row0, column0), (row1, column1) = mapped.min(axis=0), mapped.max(axis=0) + 1
         x, y = floor.origin
         left, right = x + column0 * floor.resolution, x + column1 * floor.resolution
         bottom, top = y + row0 * floor.resolution, y + row1 * floor.resolution
@@ -183,18 +191,18 @@ def _draw_touch(axis: Any, x: float, y: float, number: int) -> None:
 
 
 def _draw_times(axis: Any, run: RecordedRun, track: Track) -> None:
-    """Marks the path with times, which the other panels have on their axes; not where the robot stands."""
+    """Marks the path with times, which the other panels have on their axes; no marks while the robot stands still."""
     seconds = run.end - run.begin
     every = float(next((mark for mark in _MARKS if seconds / mark <= 12), np.ceil(seconds / 12)))
-    before: tuple[float, float] | None = None
+    last_mark: tuple[float, float] | None = None
     shown = (float(f(v)) for v in (track.x, track.y) for f in (np.min, np.max))
     left, right, bottom, top = shown if run.floor is None else _window(run, run.floor)
-    apart = 0.06 * max(right - left, top - bottom, 1.0)
+    min_spacing = 0.06 * max(right - left, top - bottom, 1.0)
     for t in np.arange(np.ceil((run.begin + 1e-6) / every) * every, float(track.t[-1]) + 1e-9, every):
         x, y, _ = track.at(float(t))
-        if t < track.t[0] or (before is not None and np.hypot(x - before[0], y - before[1]) < apart):
+        if t < track.t[0] or (last_mark is not None and np.hypot(x - last_mark[0], y - last_mark[1]) < min_spacing):
             continue
-        before = x, y
+        last_mark = x, y
         axis.plot([x], [y], "o", color=INK, markersize=3, zorder=5)
         axis.annotate(
             f"{t:g} s", (x, y), xytext=(5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6,
@@ -203,20 +211,20 @@ def _draw_times(axis: Any, run: RecordedRun, track: Track) -> None:
 
 
 def velocity_parts(run: RecordedRun) -> list[tuple[str, str]]:
-    """Returns name and label of the shown parts of velocities; sideways only where it is commanded or had."""
-    given = [v for robot in run.robots for v in (robot.commands, robot.by_wheels, robot.in_truth) if v is not None]
-    moves = any(np.abs(v.sideways).max(initial=0.0) > 0.02 for v in given)
-    sideways = [("sideways", "sideways, m/s")] if moves else []
+    """Returns name and label of the shown components of velocities; sideways only if it is commanded or measured."""
+    all_velocities = [v for robot in run.robots for v in (robot.commands, robot.by_wheels, robot.in_truth) if v is not None]
+    has_sideways = any(np.abs(v.sideways).max(initial=0.0) > 0.02 for v in all_velocities)
+    sideways = [("sideways", "sideways, m/s")] if has_sideways else []
     return [("forward", "forward, m/s"), *sideways, ("turning", "turning, rad/s")]
 
 
 def draw_velocities(axis: Any, run: RecordedRun, part: str, label: str) -> None:
-    """Draws one part of the velocities: asked for by commands, by wheel odometry, and in truth."""
+    """Draws one component of the velocities: commanded, by wheel odometry, and ground truth."""
     tint, alone = colours(run), len(run.robots) == 1
     for robot in run.robots:
         colour = tint[robot.name]
-        for velocities, own, (what, style) in (
-            (robot.commands, ASKED, ASKED_STYLE),
+        for velocities, default_colour, (name, style) in (
+            (robot.commands, COMMAND_COLOUR, COMMAND_STYLE),
             (robot.in_truth, INK, TRUE_STYLE),
             (robot.by_wheels, colour, WHEEL_STYLE),
         ):
@@ -225,7 +233,7 @@ def draw_velocities(axis: Any, run: RecordedRun, part: str, label: str) -> None:
             t, values = velocities.t, getattr(velocities, part)
             if velocities is robot.commands:
                 t, values = _held(t, values, run.end)
-            axis.plot(t, values, label=what, **{**style, "color": own if alone else colour})
+            axis.plot(t, values, label=name, **{**style, "color": default_colour if alone else colour})
         for touch in robot.touches:
             if touch.is_press:
                 axis.axvspan(touch.begin, touch.end, color=RED, alpha=0.08, linewidth=0)
@@ -234,29 +242,29 @@ def draw_velocities(axis: Any, run: RecordedRun, part: str, label: str) -> None:
     if high - low < _LEAST_SPAN:
         axis.set_ylim((low + high - _LEAST_SPAN) / 2.0, (low + high + _LEAST_SPAN) / 2.0)
     if not axis.get_legend_handles_labels()[0]:
-        axis.text(0.5, 0.5, "no velocities in the bag", ha="center", va="center", transform=axis.transAxes, color=ASKED)
+        axis.text(0.5, 0.5, "no velocities in the bag", ha="center", va="center", transform=axis.transAxes, color=COMMAND_COLOUR)
 
 
 def _time_limits(run: RecordedRun) -> tuple[float, float]:
-    """Returns the ends of the time axes, s; a run's first message comes a step after 0."""
+    """Returns the limits of the time axes, s; a run's first message comes a step after 0."""
     return (0.0 if 0.0 < run.begin < 0.05 * run.end else run.begin), run.end
 
 
 def motion_limits(run: RecordedRun) -> tuple[float, float]:
-    """Returns the ends of the time axes of motion, s: without a long end of the run in which no robot moves, touches or is commanded."""
+    """Returns the limits of the time axes of motion, s, without a long idle end of the run (no motion, contact or command)."""
     begin, end = _time_limits(run)
     last = max((t for robot in run.robots for t in _times_of_motion(robot)), default=end) + IDLE_MARGIN_S
     return begin, last if end - last > _IDLE_SHARE * (end - begin) else end
 
 
 def _times_of_motion(robot: RobotRun) -> list[float]:
-    """Returns the last time, s, at which a robot moved, was commanded to, and touched something; none of what it did not do."""
-    found = [touch.end for touch in robot.touches]
+    """Returns the last times, s, at which a robot moved, was commanded to move, and touched something, as far as it did."""
+    times = [touch.end for touch in robot.touches]
     for velocities in (robot.commands, robot.by_wheels, robot.in_truth):
         if velocities is not None:
             fast = np.maximum(np.hypot(velocities.forward, velocities.sideways), np.abs(velocities.turning)) > _MOVES
-            found += [float(t) for t in velocities.t[fast][-1:]]
-    return found
+            times += [float(t) for t in velocities.t[fast][-1:]]
+    return times
 
 
 def _held(t: F64, values: F64, end: float) -> tuple[F64, F64]:
@@ -268,11 +276,11 @@ def _held(t: F64, values: F64, end: float) -> tuple[F64, F64]:
 
 
 def draw_contacts(axis: Any, run: RecordedRun) -> None:
-    """Draws when each thing was touched, a row each, with the numbers of ``draw_paths``."""
+    """Draws the intervals of contact, one row per touched object, with the numbers of ``draw_paths``."""
     rows, tint, alone = contact_rows(run), colours(run), len(run.robots) == 1
     axis.set(xlim=motion_limits(run), ylim=(len(rows) + 0.1 or 1.0, -0.6) if rows else (0, 1))
     if not rows:
-        text = "touched nothing" if run.tells_contacts else "the bag has no contacts: record collisions, contacts or bumper"
+        text = "touched nothing" if run.has_contact_topics else "the bag has no contacts: record collisions, contacts or bumper"
         axis.text(0.5, 0.5, text, ha="center", va="center", transform=axis.transAxes, color="#6b7280")
         axis.set_yticks([])
         axis.grid(False)
@@ -309,27 +317,27 @@ def rates(run: RecordedRun) -> tuple[F64, F64, list[tuple[str, float]]]:
     """Returns the rates of topics over time.
 
     Returns:
-        The edges of the bins, (B + 1,), s; the rate in each bin as a part of the topic's usual one, (T, B); name and usual rate, Hz, of each
+        The edges of the bins, (B + 1,), s; the rate in each bin relative to the topic's usual one, (T, B); name and usual rate, Hz, of each
         topic. Of topics with fewer than three messages in a bin, the mean of three bins.
     """
     edges = _bins(run.begin, run.end)
     widths = np.diff(edges)
     names, parts = [], []
     for arrivals in run.arrivals[:MOST_TOPICS]:
-        found = np.histogram(arrivals.t, edges)[0] / widths
-        usual = float(np.median(found[found > 0.0])) if found.any() else 1.0
-        if usual * widths[0] < 3.0 and len(found) >= 3:
+        rate = np.histogram(arrivals.t, edges)[0] / widths
+        usual = float(np.median(rate[rate > 0.0])) if rate.any() else 1.0
+        if usual * widths[0] < 3.0 and len(rate) >= 3:
             ones = np.ones(3)
-            found = np.convolve(found * widths, ones, "same") / np.convolve(widths, ones, "same")
-            usual = float(np.median(found[found > 0.0])) if found.any() else 1.0
-            found = np.minimum(found, usual)
+            rate = np.convolve(rate * widths, ones, "same") / np.convolve(widths, ones, "same")
+            usual = float(np.median(rate[rate > 0.0])) if rate.any() else 1.0
+            rate = np.minimum(rate, usual)
         names.append((arrivals.topic, usual))
-        parts.append(found / usual)
+        parts.append(rate / usual)
     return edges, np.array(parts, dtype=np.float64).reshape(len(names), len(widths)), names
 
 
 def _bins(begin: float, end: float) -> F64:
-    """Returns the edges of bins of a round number of seconds, the first and the last as far as the recording reaches."""
+    """Returns the edges of bins of a round number of seconds; the first and the last are cut at the ends of the recording."""
     width = next(
         (mark for mark in (0.5, *_MARKS) if (end - begin) / mark <= (20 if mark < 1 else _MOST_BINS)),
         np.ceil((end - begin) / _MOST_BINS),
@@ -345,12 +353,14 @@ def _bins(begin: float, end: float) -> F64:
 
 
 def draw_rates(axis: Any, run: RecordedRun) -> None:
-    """Draws the rate of each topic over time: a row each, white where nothing came, with its usual rate beside it."""
+    """Draws the rate of each topic over time: one row each, white where no message arrived, with its usual rate beside it."""
     edges, parts, names = rates(run)
     axis.set(xlim=_time_limits(run))
     axis.grid(False)
     if not names:
-        axis.text(0.5, 0.5, "no topic has several messages", ha="center", va="center", transform=axis.transAxes, color=ASKED)
+        axis.text(
+            0.5, 0.5, "no topic has several messages", ha="center", va="center", transform=axis.transAxes, color=COMMAND_COLOUR
+        )
         return
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.patches import Patch
@@ -360,7 +370,7 @@ def draw_rates(axis: Any, run: RecordedRun) -> None:
     meanings = (
         (0.0, "no message"),
         (0.5, "half"),
-        (_NORMAL, "usual rate (at the right)"),
+        (_NORMAL, "usual rate (on the right)"),
         (_MOST_RATE, f"{_MOST_RATE:g} times that, or more"),
     )
     patches = [
@@ -384,19 +394,19 @@ def _rate_text(rate: float) -> str:
 
 
 def draw_legend(axis: Any, run: RecordedRun) -> None:
-    """Draws the legend of the velocities above their first panel: of lines, and for several robots, of their colours."""
+    """Draws the legend of the velocities above their first panel: lines, and for several robots, their colours."""
     handles, labels = axis.get_legend_handles_labels()
     if not handles:
         return
     if len(run.robots) > 1:
-        handles, labels = _styles_and_robots(run, ASKED_STYLE, TRUE_STYLE, WHEEL_STYLE)
+        handles, labels = _styles_and_robots(run, COMMAND_STYLE, TRUE_STYLE, WHEEL_STYLE)
     axis.legend(
         handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(handles), fontsize=8.5, borderaxespad=0.2
     )
 
 
 def _styles_and_robots(run: RecordedRun, *styles: tuple[str, dict[str, Any]]) -> tuple[list[Any], list[str]]:
-    """Returns handles and labels of a legend of several robots: what each style of line is, and whose each colour."""
+    """Returns handles and labels of a legend of several robots: one for each line style and one for each robot's colour."""
     from matplotlib.lines import Line2D
 
     lines = [(label, Line2D([], [], color="#6b7280", **style)) for label, style in styles]

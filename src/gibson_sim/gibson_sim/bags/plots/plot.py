@@ -164,12 +164,12 @@ def _table(report: BagReport) -> str:
     heads = ("topic", "messages", "rate, Hz", "missing", "first, s", "last, s")
     lines = [f"<tr>{''.join(f'<th{_NUMBER * (i > 0)}>{name}</th>' for i, name in enumerate(heads))}</tr>"]
     for topic in report.topics:
-        there = topic.info.count
+        count = topic.info.count
         cells = [
-            str(there),
+            str(count),
             f"{topic.rate_hz:.2f}" if topic.rate_hz else "–",
             "–" if topic.missing is None else str(topic.missing),
-            *(f"{time_ns / NS_PER_S:.3f}" if there else "–" for time_ns in (topic.first_ns, topic.last_ns)),
+            *(f"{time_ns / NS_PER_S:.3f}" if count else "–" for time_ns in (topic.first_ns, topic.last_ns)),
         ]
         numbers = "".join(
             f'<td class="number{" some" if i == 2 and topic.missing else ""}">{cell}</td>' for i, cell in enumerate(cells)

@@ -1,4 +1,4 @@
-"""Tells which topics of a bag have a rate, and how many of their messages are missing. Pure."""
+"""Determines which topics of a bag are periodic, and the number of their missing messages. Pure."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ _EVENT_TYPES = (
     "diagnostic_msgs/msg/DiagnosticArray",
     "rosgraph_msgs/msg/Clock",
 )
-"""Types sent when something happens, or by several nodes: no message of them is missing. /clock also comes with whatever else is published."""
+"""Types sent on events, or by several nodes: none of their messages count as missing. /clock also comes with whatever else is published."""
 _EVENT_PACKAGES = ("rcl_interfaces/", "action_msgs/", "lifecycle_msgs/", "trajectory_msgs/", "visualization_msgs/")
 _FOREIGN_NS = 24 * 3600 * NS_PER_S
 """Minimum difference between stamps and log times for which they are of different clocks, ns."""
 
 
 def is_event(info: TopicInfo) -> bool:
-    """Returns whether the messages of a topic come when something happens, so that none can be missing."""
+    """Returns whether the messages of a topic are sent on events, so that none can be missing."""
     return info.latched or info.type_name in _EVENT_TYPES or info.type_name.startswith(_EVENT_PACKAGES)
 
 
 def is_of_this_clock(stamps: NDArray[np.int64], log_ns: NDArray[np.int64]) -> bool:
-    """Returns whether stamps (N,) are of the same clock as the log times (N,): /rosout has wall time in a bag of simulation time."""
+    """Returns whether stamps (N,) and log times (N,) use the same clock: /rosout has wall time in a bag of simulation time."""
     return bool(len(stamps)) and abs(int(np.median(stamps)) - int(np.median(log_ns))) < _FOREIGN_NS
 
 
 def period_of(times: NDArray[np.int64], *, periodic: bool = False) -> float:
-    """Returns the period of a series of times (N,), nanoseconds; 0.0 if they have none.
+    """Returns the period of a series of times (N,), nanoseconds; 0.0 if it is not periodic.
 
     Args:
-        times: of the messages.
-        periodic: whether the topic is known to have a rate, however many messages are missing.
+        times: times of the messages, nanoseconds.
+        periodic: whether the topic is known to be periodic, regardless of missing messages.
     """
     ordered = np.sort(times)
     period = nominal_period_ns(ordered)
@@ -56,5 +56,5 @@ def period_of(times: NDArray[np.int64], *, periodic: bool = False) -> float:
 
 
 def missing_in(times: NDArray[np.int64], period_ns: float) -> int:
-    """Returns how many messages are missing between the first and the last: a step is rounded to whole periods, two = one missing."""
+    """Returns the number of messages missing between the first and the last: a gap of two periods, rounded, = one missing."""
     return int(np.maximum(np.rint(np.diff(times) / period_ns).astype(np.int64) - 1, 0).sum())

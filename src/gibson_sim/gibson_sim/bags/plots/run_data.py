@@ -33,7 +33,7 @@ class Track:
         return x, y, yaw
 
     def laid_onto(self, other: Track) -> Track:
-        """Returns the track moved so that it has the pose of the other one at the first time that both have."""
+        """Returns the track transformed so that it has the pose of the other one at the first common time."""
         t = max(float(self.t[0]), float(other.t[0]))
         (x0, y0, yaw0), (x1, y1, yaw1) = self.at(t), other.at(t)
         turn = yaw1 - yaw0
@@ -58,7 +58,7 @@ class Velocities:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotRun:
-    """What one robot did; None = the bag does not have it."""
+    """Motion, commands and contacts of one robot; None = the bag does not have them."""
 
     name: str
     """Namespace of its topics; empty for a single robot."""
@@ -74,7 +74,7 @@ class RobotRun:
 
     @property
     def reference(self) -> Track | None:
-        """The best track that there is."""
+        """The best available track."""
         return self.truth or self.estimate or self.odometry
 
 
@@ -110,7 +110,7 @@ class Arrivals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedRun:
-    """All that is plotted of a bag."""
+    """All plotted data of a bag."""
 
     folder: Path
     begin: float
@@ -120,8 +120,8 @@ class RecordedRun:
     """Label of time axes."""
     robots: tuple[RobotRun, ...]
     floor: Floor | None
-    tells_contacts: bool
-    """Whether the bag has topics that tell contacts."""
+    has_contact_topics: bool
+    """Whether the bag has topics that report contacts."""
     arrivals: tuple[Arrivals, ...]
     """Arrivals of topics that are not latched, sorted by name."""
     notes: tuple[str, ...] = ()

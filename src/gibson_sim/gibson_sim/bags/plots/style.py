@@ -1,4 +1,4 @@
-"""The look of plots of bags, and matplotlib, which is optional."""
+"""Style of the plots of bags, and the check for matplotlib, which is optional."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def require_matplotlib(what: str, instead: str = "") -> None:
     """Checks that matplotlib is installed.
 
     Args:
-        what: needs it, as the subject of a sentence.
-        instead: what else the user can do, as the end of a sentence.
+        what: feature that needs it, as the subject of a sentence.
+        instead: alternative for the user, as the end of the message.
 
     Raises:
         EnvironmentProblemError: it is missing.
@@ -58,7 +58,7 @@ def drawn(size: tuple[float, float], draw: Callable[[Any], None], *, form: str, 
         size: width and height, inches.
         draw: receives the figure, whose layout is constrained.
         form: ``svg`` or ``png``.
-        dpi: pixels an inch of a PNG, and of images in an SVG.
+        dpi: pixels per inch of a PNG, and of images in an SVG.
     """
     import matplotlib
     from matplotlib.figure import Figure

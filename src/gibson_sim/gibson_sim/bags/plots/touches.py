@@ -1,4 +1,4 @@
-"""Finds in a bag what its robots touched, and for how long: from collision counts, contact points and bumpers. Pure."""
+"""Finds the contacts of a bag's robots and their durations: from collision counts, contact points and bumpers. Pure."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _STANDING_NORMAL = 0.7
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """A contact of a robot with one other thing, without longer interruption."""
+    """A contact of a robot with one other object, without longer interruption."""
 
     robot: str
     """Namespace of the robot's topics without slashes; empty for a single robot."""
     other: str
-    """Name of the other body or shape; empty = only a bumper was recorded, which does not tell."""
+    """Name of the other body or shape; empty = only a bumper was recorded, which does not report it."""
     begin: float
     """Time of the first contact, s."""
     end: float
@@ -34,25 +34,25 @@ class Touch:
     force: float = 0.0
     """Maximum normal force at one contact point, N; 0 = unknown."""
     movable: bool = False
-    """Whether the other thing is a body that physics moves, and not a static shape."""
+    """Whether the other object is a body that physics moves, and not a static shape."""
     lasts: bool = False
     """Whether the contact had not ended when the recording did."""
 
     @property
     def is_press(self) -> bool:
-        """Whether the contact lasted, as against a bump."""
+        """Whether the contact lasted, unlike a bump."""
         return self.end - self.begin >= _PRESS_S
 
     def text(self) -> str:
         """Returns the touch as a phrase: ``pressed against wall_11 from 22.0 s to 23.4 s, with up to 28 N``."""
-        who = f"{self.robot}: " if self.robot else ""
+        subject = f"{self.robot}: " if self.robot else ""
         force = f", with up to {self.force:.0f} N" if self.force >= 0.5 else ""
         if not self.is_press:
-            what = f"touched {self.other}" if self.other else "the bumper was hit"
-            return f"{who}{what} at {self.begin:.1f} s{force}"
+            event = f"touched {self.other}" if self.other else "the bumper was hit"
+            return f"{subject}{event} at {self.begin:.1f} s{force}"
         verb = ("pushed" if self.movable else "pressed against") if self.other else "the bumper was pressed"
         until = "the end of the recording" if self.lasts else f"{self.end:.1f} s"
-        return f"{who}{f'{verb} {self.other}'.strip()} from {self.begin:.1f} s to {until}{force}"
+        return f"{subject}{f'{verb} {self.other}'.strip()} from {self.begin:.1f} s to {until}{force}"
 
 
 @dataclass(slots=True)
@@ -67,7 +67,7 @@ class _Open:
 
 @dataclass(slots=True)
 class _Robot:
-    """What is known of one robot while the bag is read."""
+    """State of one robot while the bag is read."""
 
     name: str
     body: str
@@ -90,7 +90,7 @@ class TouchFinder:
     Args:
         infos: topics of the bag.
         robots: namespaces of the robots without slashes; empty for a single robot.
-        bodies: namespace -> name of the robot's body in contacts, where it is known.
+        bodies: namespace -> name of the robot's body in contacts, if known.
     """
 
     def __init__(self, infos: Mapping[str, TopicInfo], robots: Iterable[str], bodies: Mapping[str, str]) -> None:
@@ -100,13 +100,13 @@ class TouchFinder:
         self._robots: list[_Robot] = []
         for name in robots:
             prefix = f"/{name}/" if name else "/"
-            own = {topic: info for topic, info in infos.items() if topic.startswith(prefix) and info.count}
-            counts = [topic for topic, info in own.items() if info.type_name == COLLISIONS]
-            bumpers = [t for t, info in own.items() if info.type_name == BUMPER and "bumper" in t.removeprefix(prefix)]
+            robot_infos = {topic: info for topic, info in infos.items() if topic.startswith(prefix) and info.count}
+            counts = [topic for topic, info in robot_infos.items() if info.type_name == COLLISIONS]
+            bumpers = [t for t, info in robot_infos.items() if info.type_name == BUMPER and "bumper" in t.removeprefix(prefix)]
             body = bodies.get(name, name)
             robot = _Robot(name, body, counted=bool(counts), has_contacts=bool(self._contacts and body))
             self._robots.append(robot)
-            # One source for each robot, the one that tells most.
+            # One source for each robot, the most detailed one.
             for topic in counts or ([] if robot.has_contacts else bumpers):
                 self._robot_of.setdefault(topic, robot)
         self.topics: tuple[str, ...] = (*self._robot_of, *(self._contacts if any(r.has_contacts for r in self._robots) else ()))
@@ -119,7 +119,7 @@ class TouchFinder:
         return topic in self._contacts and any(r.has_contacts and (r.ongoing or not r.counted) for r in self._robots)
 
     def add(self, topic: str, time_s: float, message: Any) -> None:
-        """Adds a message of one of ``topics``; times, s, must not run backwards."""
+        """Adds a message of one of ``topics``; times, s, must not decrease."""
         robot = self._robot_of.get(topic)
         if robot is None:
             self._add_contacts(time_s, message)
@@ -133,7 +133,7 @@ class TouchFinder:
             self._close_old(one, time_s)
 
     def _add_count(self, robot: _Robot, time_s: float, message: Any) -> None:
-        """Adds a collision count. Of what goes on after a collision has begun, contacts tell more, if they are recorded."""
+        """Adds a collision count. Recorded contacts describe a collision in more detail after it has begun."""
         began = robot.count is not None and message.count > robot.count
         if began or (message.ongoing and not robot.has_contacts):
             grown = began and message.greatest_force > robot.greatest
@@ -157,16 +157,16 @@ class TouchFinder:
                     self._touch(robot, str(other), time_s, float(contact.force), movable=bool(link))
 
     def _touch(self, robot: _Robot, other: str, time_s: float, force: float = 0.0, *, movable: bool = False) -> None:
-        now = robot.opened.setdefault(other, _Open(time_s, time_s))
-        now.end, now.force, now.movable = time_s, max(now.force, force), movable or now.movable
+        touch = robot.opened.setdefault(other, _Open(time_s, time_s))
+        touch.end, touch.force, touch.movable = time_s, max(touch.force, force), movable or touch.movable
 
     def _close_old(self, robot: _Robot, time_s: float) -> None:
-        for other in [other for other, one in robot.opened.items() if time_s - one.end > _PAUSE_S]:
+        for other in [other for other, touch in robot.opened.items() if time_s - touch.end > _PAUSE_S]:
             self._close(robot, other)
 
     def _close(self, robot: _Robot, other: str, *, lasts: bool = False) -> None:
-        one = robot.opened.pop(other)
-        robot.closed.append(Touch(robot.name, other, one.begin, one.end, one.force, one.movable, lasts))
+        touch = robot.opened.pop(other)
+        robot.closed.append(Touch(robot.name, other, touch.begin, touch.end, touch.force, touch.movable, lasts))
 
     def touches(self) -> tuple[Touch, ...]:
         """Returns all touches in the order of their beginnings; ends those in progress."""
@@ -189,21 +189,21 @@ def robot_namespaces(infos: Mapping[str, TopicInfo]) -> tuple[str, ...]:
     """
     endings = ("/ground_truth/odom", "/odom")
     topics = [name for name, info in infos.items() if info.type_name == "nav_msgs/msg/Odometry" and info.count]
-    found = {topic[: -len(ending)].strip("/") for topic in topics for ending in endings if topic.endswith(ending)}
-    # /left/ground_truth/odom ends with /odom, too; beside /odom, /wheel/odom is of the same robot.
-    names = sorted(name for name in found if not name.endswith("ground_truth"))
+    namespaces = {topic[: -len(ending)].strip("/") for topic in topics for ending in endings if topic.endswith(ending)}
+    # /left/ground_truth/odom ends with /odom, too; beside /odom, /wheel/odom belongs to the same robot.
+    names = sorted(name for name in namespaces if not name.endswith("ground_truth"))
     return tuple(names) if names and "" not in names else ("",)
 
 
 def robot_bodies(bag: BagReader, robots: Iterable[str]) -> dict[str, str]:
     """Returns the name of each robot's body in contacts: the body of the scene that has the child frame of its odometry as a link."""
-    infos, found = bag.topics(), {name: name for name in robots if name}
+    infos, bodies = bag.topics(), {name: name for name in robots if name}
     scenes = [name for name, info in infos.items() if info.type_name == "gibson_msgs/msg/Scene" and info.count]
     odometry = [name for name in ("/odom", "/ground_truth/odom") if name in infos and infos[name].count]
     if not scenes or not odometry or "" not in robots:
-        return found
+        return bodies
     frame = bag.first(odometry[0]).child_frame_id
     owners = [link.rpartition("/")[0] for link in bag.first(scenes[0]).links if link.rpartition("/")[2] == frame]
     if len(owners) == 1:
-        found[""] = owners[0]
-    return found
+        bodies[""] = owners[0]
+    return bodies
