@@ -207,7 +207,7 @@ def test_planning_that_takes_long_tells_how_far_it_is() -> None:
     progress = PlanProgress(console=Console(shown), clock=lambda: now[0])
     for at, done in ((0.0, 0), (1.9, 99), (4.0, 200), (13.9, 600), (14.0, 700), (20.0, 1000)):
         now[0] = at
-        progress.tell(done, 1000)
+        progress.report(done, 1000)
     progress.close()
     # A line after a moment, and one every ten seconds: 4 s for 200 runs, 14 s for 700.
     assert shown.getvalue() == "planning: 200 of 1000 runs, 16 s left\nplanning: 700 of 1000 runs, 6 s left\n"
@@ -218,8 +218,8 @@ def test_the_bar_tells_what_is_done_and_what_runs() -> None:
     progress = TrialProgress(10, 2, console=Console(io.StringIO()), clock=lambda: now[0])
     assert progress.line() == "[####----------------] 2/10"
     now[0] = 20.0
-    progress.tell(3, "4.2 s")
-    progress.tell(4, "")
+    progress.report(3, "4.2 s")
+    progress.report(4, "")
     progress.add(passed(2))
     progress.add(failed(3))
     # 10 s a run, and six to go.

@@ -23,20 +23,20 @@ _VIEWS = "/view_"
 """Prefix of the topics of views."""
 
 
-def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
+def film_topics(reader: BagReader, selection: Sequence[str] = ()) -> list[str]:
     """Returns image topics in the order in which they are shown, from the top.
 
     Args:
         reader: the bag.
-        wanted: topics, or names of cameras for their colour images; empty = all colour images, those of views last.
+        selection: topics, or names of cameras for their colour images; empty = all colour images, those of views last.
 
     Raises:
         RecordError: a topic does not exist.
     """
     infos = reader.topics()
-    if wanted:
-        topics = [_topic_of(name, infos) for name in wanted]
-        unknown = [name for name, topic in zip(wanted, topics, strict=True) if topic not in infos]
+    if selection:
+        topics = [_topic_of(name, infos) for name in selection]
+        unknown = [name for name, topic in zip(selection, topics, strict=True) if topic not in infos]
         if unknown:
             available = ", ".join(sorted(image_topics(reader))) or "none"
             raise RecordError(f"bag {reader.folder} has no images on {', '.join(unknown)}; it has them on: {available}")
@@ -89,10 +89,10 @@ def write_film_strip(
     with BagReader(bag) as reader:
         panels = Panels(reader, film_topics(reader, topics))
         shown = _shown(reader, panels, begin, end)
-        wanted = shown[np.unique(np.rint(np.linspace(0, len(shown) - 1, columns)).astype(np.int64))]
+        shown_indices = shown[np.unique(np.rint(np.linspace(0, len(shown) - 1, columns)).astype(np.int64))]
         cells = [
             np.vstack([_stacked(images, panels.topics, width, _GAP_PX), _time(width, int(panels.stamps[index]))])
-            for index, images in panels.images(frozenset(wanted.tolist()))
+            for index, images in panels.images(frozenset(shown_indices.tolist()))
         ]
     gap = np.full((cells[0].shape[0], _GAP_PX, 3), 255, dtype=np.uint8)
     strip = np.hstack([part for cell in cells for part in (cell, gap)][:-1])

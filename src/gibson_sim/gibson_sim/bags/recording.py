@@ -382,12 +382,12 @@ class LatchedMessages:
 
     def restart(self, stamp_ns: int) -> None:
         """Sets the log time of all messages to the start of the new epoch, nanoseconds."""
-        for topic, kept in self._kept.items():
-            self._kept[topic] = deque(((stamp_ns, name, data) for _, name, data in kept), maxlen=kept.maxlen)
+        for topic, messages in self._kept.items():
+            self._kept[topic] = deque(((stamp_ns, name, data) for _, name, data in messages), maxlen=messages.maxlen)
 
     def messages(self) -> list[Stored]:
         """Returns the messages in the order of their arrival."""
-        return sorted((message for kept in self._kept.values() for message in kept), key=lambda m: m[0])
+        return sorted((message for messages_of_topic in self._kept.values() for message in messages_of_topic), key=lambda m: m[0])
 
 
 class StartGate:

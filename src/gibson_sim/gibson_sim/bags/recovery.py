@@ -139,8 +139,8 @@ def _write_metadata(folder: Path, storage: Storage, contents: list[FileContents]
     """Writes ``metadata.yaml`` for a bag of these files."""
     topics: dict[str, TopicRecord] = {}
     for topic in (topic for c in contents for topic in c.topics):
-        before = topics.get(topic.name)
-        count = topic.count + (before.count if before else 0)
+        earlier = topics.get(topic.name)
+        count = topic.count + (earlier.count if earlier else 0)
         topics[topic.name] = TopicRecord(topic.name, topic.type_name, topic.qos, topic.type_hash, count)
     write_metadata(folder, bag_information(list(topics.values()), [c.record for c in contents], storage))
 
@@ -168,11 +168,11 @@ def _rebuild(path: Path, write_bag_metadata: Callable[[FileContents], None]) -> 
     # Unbuffered: a failed write must not be repeated by the next seek.
     with path.open("r+b", buffering=0) as file:
         while True:
-            found = _file_contents(path, section, max(cut, 0))
+            recovered = _file_contents(path, section, max(cut, 0))
             try:
-                _finish(file, section, found)
-                write_bag_metadata(found)
-                return found
+                _finish(file, section, recovered)
+                write_bag_metadata(recovered)
+                return recovered
             except OSError as error:
                 if not section.chunks:
                     raise

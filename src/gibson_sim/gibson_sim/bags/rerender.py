@@ -50,7 +50,7 @@ def scene_topics(bag: BagReader) -> SceneTopics:
     Raises:
         RecordError: the bag does not have one of them; the message names the topics to record.
     """
-    found: list[str] = []
+    topics_found: list[str] = []
     for type_name, usual in ((SCENE_TYPE, "/scene"), (STATE_TYPE, "/scene_state")):
         topics = [topic for topic, info in bag.topics().items() if info.type_name == type_name and info.count]
         if not topics:
@@ -58,17 +58,17 @@ def scene_topics(bag: BagReader) -> SceneTopics:
                 f"bag {bag.folder} has no message on {usual} ({type_name}), so there is nothing to draw: record /scene and /scene_state "
                 "as well; `gibson-sim run --record DIR` does, unless --topics leaves them out"
             )
-        found.append(usual if usual in topics else topics[0])
-    return SceneTopics(*found)
+        topics_found.append(usual if usual in topics else topics[0])
+    return SceneTopics(*topics_found)
 
 
-def topics_to_copy(infos: Mapping[str, TopicInfo], copy: str, own: SceneTopics) -> tuple[str, ...]:
+def topics_to_copy(infos: Mapping[str, TopicInfo], copy: str, rewritten: SceneTopics) -> tuple[str, ...]:
     """Returns the topics to copy to the new bag unchanged.
 
     Args:
         infos: topics of the bag.
         copy: ``auto`` = all but images and topics derived from them, ``none``, or names separated by commas.
-        own: topics that are rewritten, not copied.
+        rewritten: topics that are rewritten, not copied.
 
     Raises:
         RecordError: a topic is not in the bag.
@@ -76,12 +76,16 @@ def topics_to_copy(infos: Mapping[str, TopicInfo], copy: str, own: SceneTopics) 
     if copy == "none":
         return ()
     if copy == "auto":
-        return tuple(topic for topic, info in infos.items() if topic not in (own.scene, own.state) and not _is_of_pictures(info))
+        return tuple(
+            topic
+            for topic, info in infos.items()
+            if topic not in (rewritten.scene, rewritten.state) and not _is_of_pictures(info)
+        )
     names = [name.strip() for name in copy.split(",") if name.strip()]
     unknown = [name for name in names if name not in infos]
     if unknown:
         raise RecordError(f"setting 'copy' names {', '.join(unknown)}; the bag has: {', '.join(infos)}")
-    return tuple(name for name in names if name not in (own.scene, own.state))
+    return tuple(name for name in names if name not in (rewritten.scene, rewritten.state))
 
 
 def _is_of_pictures(info: TopicInfo) -> bool:
@@ -116,33 +120,33 @@ class CameraSchedule:
             cameras: cameras of its scene.
             recorded: indices of the cameras that were due at the state; None = determined by their rates.
         """
-        before, self._before = self._before, state
-        follows = before is not None and before.links == state.links and before.revision == state.revision
-        if before is None or not follows or before.stamp_ns >= state.stamp_ns:
-            before = None
-        after_ns = state.stamp_ns - self._period_ns if before is None else before.stamp_ns
+        previous, self._before = self._before, state
+        follows = previous is not None and previous.links == state.links and previous.revision == state.revision
+        if previous is None or not follows or previous.stamp_ns >= state.stamp_ns:
+            previous = None
+        after_ns = state.stamp_ns - self._period_ns if previous is None else previous.stamp_ns
         if recorded is not None:
             yield state, tuple(k for k in recorded if k < len(cameras))
             return
         if self._interpolate:
-            if before is not None:
-                yield from _between(before, state, cameras)
+            if previous is not None:
+                yield from _between(previous, state, cameras)
             yield state, tuple(k for k, c in enumerate(cameras) if state.stamp_ns in _times(after_ns, state.stamp_ns, c.rate_hz))
         else:
             yield state, tuple(k for k, c in enumerate(cameras) if images_due(after_ns, state.stamp_ns, c.rate_hz))
 
 
 def _between(
-    before: SceneState, state: SceneState, cameras: Sequence[CameraSpec]
+    previous: SceneState, state: SceneState, cameras: Sequence[CameraSpec]
 ) -> Iterator[tuple[SceneState, tuple[int, ...]]]:
     due: dict[int, list[int]] = {}
     for number, camera in enumerate(cameras):
-        for time_ns in _times(before.stamp_ns, state.stamp_ns, camera.rate_hz):
+        for time_ns in _times(previous.stamp_ns, state.stamp_ns, camera.rate_hz):
             due.setdefault(time_ns, []).append(number)
     for time_ns in sorted(due):
         if time_ns < state.stamp_ns:
-            fraction = (time_ns - before.stamp_ns) / (state.stamp_ns - before.stamp_ns)
-            yield replace(interpolate_states(before, state, fraction), stamp_ns=time_ns), tuple(due[time_ns])
+            fraction = (time_ns - previous.stamp_ns) / (state.stamp_ns - previous.stamp_ns)
+            yield replace(interpolate_states(previous, state, fraction), stamp_ns=time_ns), tuple(due[time_ns])
 
 
 def _times(after_ns: int, until_ns: int, rate_hz: float) -> list[int]:

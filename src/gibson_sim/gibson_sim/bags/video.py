@@ -128,10 +128,10 @@ def write_contact_sheet(
         raise RecordError(f"contact sheet of {columns} columns, {rows} rows and width {width}; must be at least 1, 1 and 32")
     with BagReader(bag) as reader:
         panels = Panels(reader, topics)
-        wanted = np.unique(np.rint(np.linspace(0, len(panels.stamps) - 1, columns * rows)).astype(np.int64))
+        indices = np.unique(np.rint(np.linspace(0, len(panels.stamps) - 1, columns * rows)).astype(np.int64))
         odometry = _Odometry(reader)
         cells: list[Bgr] = []
-        for index, picture in panels.pictures(frozenset(wanted.tolist()), stacked=True):
+        for index, picture in panels.pictures(frozenset(indices.tolist()), stacked=True):
             height = max(round(picture.shape[0] * width / picture.shape[1]), 1)
             small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
             cell = np.vstack([small, _caption(width, int(panels.stamps[index]), odometry)])
@@ -179,14 +179,14 @@ class Panels:
         alike = np.array([all(int(stamp) in stamps for stamps in self._stamps.values()) for stamp in self.stamps])
         return np.flatnonzero(alike & (self.stamps >= first_ns + round(begin * NS_PER_S)) & (self.stamps <= late))
 
-    def pictures(self, wanted: frozenset[int], stacked: bool = False) -> Iterator[tuple[int, Bgr]]:
+    def pictures(self, indices: frozenset[int], stacked: bool = False) -> Iterator[tuple[int, Bgr]]:
         """Yields (index into ``stamps``, picture) of the requested frames, in order; black where a topic has no image."""
-        for index, images in self.images(wanted):
+        for index, images in self.images(indices):
             yield index, self._join(images, stacked)
 
-    def images(self, wanted: frozenset[int]) -> Iterator[tuple[int, dict[str, Bgr]]]:
+    def images(self, indices: frozenset[int]) -> Iterator[tuple[int, dict[str, Bgr]]]:
         """Yields (index into ``stamps``, images by topic) of the requested frames, in order."""
-        todo = sorted(wanted)
+        todo = sorted(indices)
         numbers = {int(self.stamps[i]): i for i in todo}
         waiting: dict[int, dict[str, Bgr]] = {stamp: {} for stamp in numbers}
         for topic, _, raw in self._reader.raw_messages(self.topics):

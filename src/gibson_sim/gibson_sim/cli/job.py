@@ -274,15 +274,15 @@ class Restarts:
         return True
 
 
-def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]:
+def _summary_lines(reports: dict[str, dict[str, Any]], restarts: int) -> list[str]:
     """Returns the summary of the reports, one line each."""
     lines = []
-    if p := found["physics"]:
+    if p := reports["physics"]:
         lines.append(
             f"physics: scene {p['scene']}, {p['simulation_time_s']:.2f} s simulated in {p['wall_time_s']:.2f} s, "
             f"real-time factor {p['real_time_factor']:.3f}, {p['commands']} commands, {p['refused_commands']} refused"
         )
-    if r := found["render"]:
+    if r := reports["render"]:
         if not r["images"]:
             lines.append("render: no image topic had a subscriber, so no image was rendered")
         for name, count in r["images"].items():
@@ -293,7 +293,7 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
             )
     if restarts:
         lines.append(f"render: restarted {restarts} times")
-    if b := found["record"]:
+    if b := reports["record"]:
         lines.append(
             f"record: {sum(b['messages'].values())} messages on {len(b['messages'])} topics, {sum(b['lost'].values())} lost"
             + (f", {b['error']}" if b["error"] else "")

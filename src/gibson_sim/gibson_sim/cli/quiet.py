@@ -11,9 +11,9 @@ from contextlib import contextmanager
 def quiet() -> Iterator[None]:
     """Suppresses logged warnings, as a decorator or for a block; restores the level afterwards."""
     logger = logging.getLogger("gibson_sim")
-    before = logger.level
+    previous_level = logger.level
     logger.setLevel(logging.ERROR)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        logger.setLevel(previous_level)

@@ -74,6 +74,6 @@ def chosen(text: str, known: Collection[str]) -> tuple[str, ...]:
     return names
 
 
-def tell(line: str) -> None:
+def print_progress(line: str) -> None:
     """Prints progress on stderr; tables go to stdout."""
     print(line, file=sys.stderr, flush=True)

@@ -33,7 +33,7 @@ class PlanProgress:
         self._began = clock()
         self._last_report = self._began + _QUIET_S - _PERIOD_S
 
-    def tell(self, done: int, total: int) -> None:
+    def report(self, done: int, total: int) -> None:
         """Reports that ``done`` of ``total`` runs are planned."""
         now = self._clock()
         if now - self._began < _QUIET_S or done == total:
@@ -73,7 +73,7 @@ class TrialProgress:
         """Shows the bar."""
         self._show()
 
-    def tell(self, number: int, text: str) -> None:
+    def report(self, number: int, text: str) -> None:
         """Shows the state of a run."""
         self._now[number] = text
         self._show()

@@ -128,7 +128,7 @@ def _rooms_and_doors(
     known = _NamedRooms([room for room in scene.rooms if room.floor == number], floor)
     out = [_named_room(place, tag, scene.floor_z, height) for place in known.places(radius)]
     rooms, doors = find_rooms(coarse)
-    room_names = {i: spec.name for i, found in enumerate(rooms) if (spec := known.room_at(found.center)) is not None}
+    room_names = {i: spec.name for i, detected in enumerate(rooms) if (spec := known.room_at(detected.center)) is not None}
     others = [i for i in range(len(rooms)) if i not in room_names]
     room_names |= {i: f"room_{n}" for n, i in enumerate(others)}
     for i in others:

@@ -164,8 +164,8 @@ def scene_floors(scene: SceneSpec, triangles: tuple[F64, NDArray[np.int32]] | No
     """
     if scene.other_floors:
         return scene.floors
-    found = find_floors(*(triangles or collision_triangles(scene)))
-    others = [z for z in found if abs(z - scene.floor_z) >= STOREY]
+    heights = find_floors(*(triangles or collision_triangles(scene)))
+    others = [z for z in heights if abs(z - scene.floor_z) >= STOREY]
     return tuple(sorted([scene.floor_z, *others]))
 
 
@@ -187,7 +187,7 @@ def find_floors(vertices: F64, triangles: NDArray[np.int32]) -> tuple[float, ...
     z = corners[:, :, 2].mean(axis=1)
     up = (normals[:, 2] > _UP) & (z < top - _HEADROOM)
     z, areas = z[up], areas[up]
-    found: list[tuple[float, float]] = []
+    floors: list[tuple[float, float]] = []
     while len(z):
         bins = np.floor((z - z.min()) / _BIN).astype(np.int64)
         # Noise of a scan spreads a floor over three bins.
@@ -195,12 +195,12 @@ def find_floors(vertices: F64, triangles: NDArray[np.int32]) -> tuple[float, ...
         peak = z.min() + (int(height.argmax()) + 0.5) * _BIN
         near = np.abs(z - peak) <= 1.5 * _BIN
         area = float(areas[near].sum())
-        if area < max(SMALLEST_AREA, SMALLEST_SHARE * max((a for _, a in found), default=0.0)):
+        if area < max(SMALLEST_AREA, SMALLEST_SHARE * max((a for _, a in floors), default=0.0)):
             break
-        found.append((_quantile(z[near], areas[near], 0.5), area))
+        floors.append((_quantile(z[near], areas[near], 0.5), area))
         rest = np.abs(z - peak) >= STOREY
         z, areas = z[rest], areas[rest]
-    return tuple(sorted(float(np.round(height, 6)) + 0.0 for height, _ in found))
+    return tuple(sorted(float(np.round(height, 6)) + 0.0 for height, _ in floors))
 
 
 def scene_triangles(scene: SceneSpec, *, bodies: bool = True) -> F64:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.report_file import add_report_options, parse_device, parse_size, require_device, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, parse_device, parse_size, print_progress, require_device, write_json
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
@@ -84,7 +84,7 @@ def run_render(args: argparse.Namespace) -> int:
     from gibson_sim_bench.render import measure
     from gibson_sim_bench.reports.render import report_text
 
-    report = measure(plan, progress=tell)
+    report = measure(plan, progress=print_progress)
     print(report_text(report, markdown=args.markdown, show_growth=args.growth))
     write_json(args.json, report.as_json())
     return 0

@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, print_progress, write_json
 
 
 def add_parser(kinds: Any) -> None:
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         control_hz=args.control_hz,
         step_hz=args.step_hz,
     )
-    report = measure(plan, progress=tell)
+    report = measure(plan, progress=print_progress)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

@@ -14,7 +14,7 @@ from typing import Any
 
 from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, print_progress, write_json
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim_bench import timing
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, background_node, node_session, process
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         plan = replace(plan, scene=args.scene)
     if args.substeps:
         plan = replace(plan, substeps=args.substeps)
-    report = measure(plan, domain_id=args.domain_id, progress=tell)
+    report = measure(plan, domain_id=args.domain_id, progress=print_progress)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

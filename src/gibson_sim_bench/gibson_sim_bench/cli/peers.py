@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.report_file import add_report_options, parse_size, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, parse_size, print_progress, write_json
 from gibson_sim_bench.protocol import SCAN_SCENES
 
 
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     from gibson_sim_bench.render import ABSENT, measure
     from gibson_sim_bench.reports.render import report_text
 
-    report = measure(plan_of(args), progress=tell)
+    report = measure(plan_of(args), progress=print_progress)
     print(report_text(report, markdown=args.markdown))
     print("".join(f"\nNot measured: {name}: {why}." for name, why in ABSENT))
     write_json(args.json, {**report.as_json(), "kind": "peers", "absent": dict(ABSENT)})

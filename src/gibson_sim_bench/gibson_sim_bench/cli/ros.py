@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
-from gibson_sim.cli.report_file import add_report_options, chosen, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, chosen, print_progress, write_json
 from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim_bench import timing
@@ -57,7 +57,7 @@ def add_parser(kinds: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prints the report, and writes the JSON file if one is named."""
     require_nodes()
-    report = measure(plan_of(args), domain_id=args.domain_id, progress=tell)
+    report = measure(plan_of(args), domain_id=args.domain_id, progress=print_progress)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

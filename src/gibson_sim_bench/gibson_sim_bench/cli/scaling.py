@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, print_progress, write_json
 
 
 def add_parser(kinds: Any) -> None:
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from gibson_sim_bench.reports.scaling import report_text
     from gibson_sim_bench.scaling import kinds_of, measure
 
-    report = measure(kinds_of(args.only), quick=args.quick, progress=tell)
+    report = measure(kinds_of(args.only), quick=args.quick, progress=print_progress)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

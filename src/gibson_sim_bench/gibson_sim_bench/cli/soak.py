@@ -13,7 +13,7 @@ from typing import Any
 
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, print_progress, write_json
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.resources import cache_folder
 from gibson_sim_bench.cli.processes import CAMERA, node_result, process
@@ -53,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
     if seconds > 0:
         require_nodes()
     facts = timing.facts()
-    environment, episodes = environment_steps(steps, progress=tell) if steps > 0 else (Samples(), 0)
-    running, images = free_running(args.scene, seconds, args.domain_id, tell) if seconds > 0 else (Samples(), 0)
+    environment, episodes = environment_steps(steps, progress=print_progress) if steps > 0 else (Samples(), 0)
+    running, images = free_running(args.scene, seconds, args.domain_id, print_progress) if seconds > 0 else (Samples(), 0)
     report = SoakReport(facts, steps, episodes, environment, seconds, images, running)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())

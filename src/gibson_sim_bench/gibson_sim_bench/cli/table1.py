@@ -16,7 +16,7 @@ import numpy as np
 
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, require_device, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, print_progress, require_device, write_json
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.types import OUTPUTS
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, background_node, node_result, node_session, process
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     require_device(plan.device)
     if {LOCKSTEP, FREE} & set(plan.parts):
         require_nodes()
-    report = measure(plan, domain_id=args.domain_id, progress=tell)
+    report = measure(plan, domain_id=args.domain_id, progress=print_progress)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

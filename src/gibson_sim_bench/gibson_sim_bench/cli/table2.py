@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, print_progress, write_json
 from gibson_sim.cli.workers import add_workers, backend_of
 from gibson_sim.errors import ConfigError
 
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     backend = backend_of(args, "paths", default=1)
     assert backend is not None
     store = Store(args.folder, plan)
-    errors = [] if args.report_only else store.run(backend, tell)
+    errors = [] if args.report_only else store.run(backend, print_progress)
     results = store.results().values()
     if not results:
         raise ConfigError(f"{args.folder}: holds no run of this plan{f'; {errors[0]}' if errors else ''}")
@@ -100,13 +100,13 @@ def run(args: argparse.Namespace) -> int:
         tuple(errors),
         store.goggles,
     )
-    strips = {} if args.no_strips else write_strips(store, results, tell)
+    strips = {} if args.no_strips else write_strips(store, results, print_progress)
     write_json(args.folder / "table2.json", found.as_json())
     write_json(args.json, found.as_json())
     write_file(args.folder / "table2.md", report_text(found, markdown=True) + "\n")
     write_file(args.folder / "table2.html", report_page(found, strips, args.folder))
     print(report_text(found, markdown=args.markdown))
-    tell(f"page: {args.folder / 'table2.html'}")
+    print_progress(f"page: {args.folder / 'table2.html'}")
     return 1 if errors else 0
 
 

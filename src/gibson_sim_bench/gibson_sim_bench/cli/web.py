@@ -11,7 +11,7 @@ from dataclasses import asdict
 from typing import Any
 
 from gibson_sim.cli.environment import node_environment, require_nodes
-from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, print_progress, write_json
 from gibson_sim.errors import ConfigError
 from gibson_sim_bench.browser import chromium
 from gibson_sim_bench.cli.processes import TIMEOUT_S, BenchError, node_result, process
@@ -85,7 +85,7 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
         clock = pool.submit(node_result, environment, "clock_arrivals", _SETTLE_S + seconds, seconds=_SETTLE_S + seconds)
         page.keyboard.down("a")
         page.wait_for_timeout(_SETTLE_S * 1000)
-        tell(f"measuring for {seconds:g} s")
+        print_progress(f"measuring for {seconds:g} s")
         images = page.evaluate(_SAMPLER, seconds)[1:]
         marks = clock.result()
     if len(images) < 2:

@@ -10,10 +10,10 @@ import pytest
 from gibson_sim.bags.comparison.encoder import common_step, fit_ticks
 from gibson_sim.bags.comparison.identify import (
     DriveFit,
+    commanded_velocities,
     counted_velocities,
     fit_drive,
     limited_velocities,
-    commanded_velocities,
     with_limits,
 )
 from gibson_sim.bags.comparison.parameters import CERTAINTY

@@ -201,11 +201,12 @@ def test_size_line_tells_rate_room_and_the_other_form() -> None:
     streams = [ImageStream("rgb", 640, 480, 30.0), ImageStream("depth", 640, 480, 30.0)]
     raw = size_line(streams, "raw", 10_000_000_000)
     assert raw == (
-        "images are recorded raw: up to 3.9 GB a minute (the disk has room for 3 min); "
+        "images are recorded raw: up to 3.9 GB per minute (the disk has room for 3 min); "
         "`--record-images compressed` takes about 192 MB, `none` nothing"
     )
     small = size_line(streams, "compressed", 10_000_000_000)
     assert (
-        small == "images are recorded compressed: about 192 MB a minute (the disk has room for 52 min); raw ones would be 3.9 GB"
+        small
+        == "images are recorded compressed: about 192 MB per minute (the disk has room for 52 min); raw ones would be 3.9 GB"
     )
     assert "before --compression zstd" in size_line(streams, "raw", 10**10, "zstd")

@@ -82,10 +82,10 @@ def common_step(values: F64, least: float, most: float) -> float | None:
     # The phases of the largest value at neighbouring grid points differ by a tenth of a turn.
     turns = np.arange(largest / most, largest / least, 0.1)
     clear = np.array([abs(np.mean(np.exp(2j * np.pi * moving * (turn / largest)))) for turn in turns])
-    found = np.flatnonzero(clear > _CLEAR * max(_CLEAR, float(clear.max())))
-    if not len(found) or float(clear.max()) < _CLEAR:
+    peaks = np.flatnonzero(clear > _CLEAR * max(_CLEAR, float(clear.max())))
+    if not len(peaks) or float(clear.max()) < _CLEAR:
         return None
-    first = int(found[0])
+    first = int(peaks[0])
     near = np.linspace(turns[first] - 0.15, turns[first] + 0.25, 81)
     best = near[int(np.argmax([abs(np.mean(np.exp(2j * np.pi * moving * (turn / largest)))) for turn in near]))]
     return largest / float(best)
@@ -121,7 +121,7 @@ def odometry_noise(fit: DriveFit, odometry: PlanarTrack, without: Sequence[tuple
     if total < 30:
         return None
     variances = np.sum(squares, axis=0) / total
-    scatter = np.array([own[0] - variances[0] * count for own, count in zip(squares, freedom, strict=True)]) / total
+    scatter = np.array([stretch[0] - variances[0] * count for stretch, count in zip(squares, freedom, strict=True)]) / total
     deviation = 0.5 * float(np.sqrt(np.sum(scatter**2))) / max(float(variances[0]), 1e-30)
     speeds_seen = total**2 / float(np.sum(np.square(freedom)))
     deviation = max(deviation, 0.5 / math.sqrt(speeds_seen)) if speeds_seen >= _LEAST_STRETCHES else math.inf

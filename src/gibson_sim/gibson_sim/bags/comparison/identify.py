@@ -90,7 +90,7 @@ def fit_drive(
         without: Excluded intervals (begin, end), seconds, in which the robot was stuck.
     """
     problem = _Problem(spec, commands, odometry, timeout, without)
-    if not (problem.tells_linear or problem.tells_angular):
+    if not (problem.has_linear or problem.has_angular):
         return None
     return problem.solve()
 
@@ -106,21 +106,23 @@ class _Problem:
         fastest, fastest_turn = (1.05 * float(np.abs(values).max(initial=0.0)) for values in (self._linear, self._angular))
         self._spec = replace(spec, max_linear=max(spec.max_linear, fastest), max_angular=max(spec.max_angular, fastest_turn))
         begin, end = max(commands.t[0], odometry.t[0]) - 0.5, odometry.t[-1]
-        self._grid, wanted_linear, wanted_angular = commanded_velocities(commands, begin, end, _MODEL_HZ, timeout)
-        self._wanted = wanted_linear, wanted_angular
-        self.tells_linear = len(self._grid) > 0 and float(np.ptp(wanted_linear)) >= LEAST_LINEAR
-        self.tells_angular = len(self._grid) > 0 and float(np.ptp(wanted_angular)) >= LEAST_ANGULAR
+        self._grid, commanded_linear, commanded_angular = commanded_velocities(commands, begin, end, _MODEL_HZ, timeout)
+        self._commanded = commanded_linear, commanded_angular
+        self.has_linear = len(self._grid) > 0 and float(np.ptp(commanded_linear)) >= LEAST_LINEAR
+        self.has_angular = len(self._grid) > 0 and float(np.ptp(commanded_angular)) >= LEAST_ANGULAR
         self._within = (self._t >= begin + 0.5) & (self._t <= end) & ~inside(self._t, without)
         if len(self._grid):
-            asked = np.abs(np.interp(self._t, self._grid, wanted_linear)) + np.abs(np.interp(self._t, self._grid, wanted_angular))
-            self._within &= (asked > 0) | (np.abs(self._linear) > 0.01) | (np.abs(self._angular) > 0.02)
+            commanded = np.abs(np.interp(self._t, self._grid, commanded_linear)) + np.abs(
+                np.interp(self._t, self._grid, commanded_angular)
+            )
+            self._within &= (commanded > 0) | (np.abs(self._linear) > 0.01) | (np.abs(self._angular) > 0.02)
         self._scale = (max(float(np.std(self._linear)), 1e-3), max(float(np.std(self._angular)), 1e-3))
         self._jitter_s = float(np.median(np.diff(self._t))) / math.sqrt(12.0) if len(self._t) > 1 else 0.0
         """Standard deviation of the time of an event between two samples, seconds."""
         self._simulate_cached = lru_cache(maxsize=16)(self._simulate)
 
     def _simulate(self, linear: float, angular: float) -> tuple[F64, F64]:
-        return limited_velocities(with_limits(self._spec, linear, angular), *self._wanted, 1.0 / _MODEL_HZ)
+        return limited_velocities(with_limits(self._spec, linear, angular), *self._commanded, 1.0 / _MODEL_HZ)
 
     def _model(self, p: NDArray[np.float64], t: F64) -> tuple[F64, F64]:
         """Returns the velocities of the model at ``t``; p: delay, log limits, gains."""
@@ -133,9 +135,9 @@ class _Problem:
         t = self._t[self._within]
         linear, angular = self._model(p, t)
         parts = []
-        if self.tells_linear:
+        if self.has_linear:
             parts.append((linear - self._linear[self._within]) / self._scale[0])
-        if self.tells_angular:
+        if self.has_angular:
             parts.append((angular - self._angular[self._within]) / self._scale[1])
         return np.concatenate(parts)
 
@@ -212,10 +214,10 @@ class _Problem:
 
         return DriveFit(
             delay=Estimate(delay, deviations[0]),
-            linear_acceleration=limit(log_linear, 1, self.tells_linear),
-            angular_acceleration=None if is_car else limit(log_angular, 2, self.tells_angular),
-            linear_gain=Estimate(linear_gain, deviations[3]) if self.tells_linear else None,
-            angular_gain=Estimate(angular_gain, deviations[4]) if self.tells_angular else None,
+            linear_acceleration=limit(log_linear, 1, self.has_linear),
+            angular_acceleration=None if is_car else limit(log_angular, 2, self.has_angular),
+            linear_gain=Estimate(linear_gain, deviations[3]) if self.has_linear else None,
+            angular_gain=Estimate(angular_gain, deviations[4]) if self.has_angular else None,
             linear_rms=_rms((linear - self._linear)[self._within]),
             angular_rms=_rms((angular - self._angular)[self._within]),
             t=self._t,
@@ -271,14 +273,18 @@ def limited_velocities(spec: DriveSpec, linear: F64, angular: F64, dt: float) ->
     # A standing car can still steer, and a delay postpones commands. Any other settled drive stays settled while the command is constant.
     changes = np.concatenate([[0], np.flatnonzero((np.diff(linear) != 0) | (np.diff(angular) != 0)) + 1, [len(linear)]])
     for first, past in zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True):
-        wanted = PlanarVelocity(
+        target = PlanarVelocity(
             float(linear[first]) if past > first else 0.0, 0.0, float(angular[first]) if past > first else 0.0
         )
         for i in range(first, past):
-            drive.targets(wanted, dt)
-            before, velocity = velocity, drive.velocity
+            drive.targets(target, dt)
+            previous, velocity = velocity, drive.velocity
             out[i] = velocity.linear, velocity.angular
-            if settles and i > first and abs(velocity.linear - before.linear) + abs(velocity.angular - before.angular) < _SETTLED:
+            if (
+                settles
+                and i > first
+                and abs(velocity.linear - previous.linear) + abs(velocity.angular - previous.angular) < _SETTLED
+            ):
                 out[i:past] = out[i]
                 break
     return out[:, 0], out[:, 1]

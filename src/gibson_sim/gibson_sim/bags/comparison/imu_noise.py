@@ -144,9 +144,9 @@ def allan_curve(segments: Sequence[F64], rate_hz: float) -> AllanCurve | None:
         count = np.where(np.isfinite(deviation), len(segment) / np.array(factors) - 1.0, 0.0)
         variances += np.where(count > 0, np.nan_to_num(deviation) ** 2 * np.maximum(count, 0.0), 0.0)
         weights += np.maximum(count, 0.0)
-    kept = weights >= 4.0
-    tau = np.array(factors)[kept] / rate_hz
-    return AllanCurve(tau, np.sqrt(variances[kept] / weights[kept]), weights[kept])
+    is_reliable = weights >= 4.0
+    tau = np.array(factors)[is_reliable] / rate_hz
+    return AllanCurve(tau, np.sqrt(variances[is_reliable] / weights[is_reliable]), weights[is_reliable])
 
 
 def overlapping_allan(values: F64, rate_hz: float, factors: Sequence[int]) -> F64:

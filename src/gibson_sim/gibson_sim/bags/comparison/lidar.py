@@ -79,9 +79,11 @@ def lidar_noise(scans: Scans, rests: list[tuple[float, float]]) -> LidarNoise:
         deviation = np.nansum((values - mean) ** 2, axis=0)
         # Beams at an edge jump between two surfaces, which is not range noise.
         variance = deviation / np.maximum(number - 1, 1)
-        kept = (number > 2) & (variance < 25.0 * np.median(variance[number > 2]) + 1e-12) if (number > 2).any() else number > 2
-        squares += float(deviation[kept].sum())
-        freedom += int((number[kept] - 1).sum())
+        is_usable = (
+            (number > 2) & (variance < 25.0 * np.median(variance[number > 2]) + 1e-12) if (number > 2).any() else number > 2
+        )
+        squares += float(deviation[is_usable].sum())
+        freedom += int((number[is_usable] - 1).sum())
     step = resolution_of(scans.ranges)
     noise = math.nan
     if freedom > 20:

@@ -65,7 +65,7 @@ class _Reading:
     """One pass over a bag."""
 
     def __init__(self, bag: BagReader, infos: Mapping[str, TopicInfo], topics: dict[str, str]) -> None:
-        self._bag, self._infos, self._found = bag, infos, topics
+        self._bag, self._infos, self._topics = bag, infos, topics
         self._rows: dict[str, list[Any]] = {role: [] for role in topics}
         self._log: dict[str, list[int]] = {topic: [] for topic in infos}
         self._stamps: dict[str, list[int]] = {topic: [] for topic in infos}
@@ -83,7 +83,7 @@ class _Reading:
 
     def read(self) -> None:
         """Reads all messages once; decodes only those of roles."""
-        role_of = {topic: role for role, topic in self._found.items()}
+        role_of = {topic: role for role, topic in self._topics.items()}
         readers = {
             "cmd_vel": self._command, "odom": self._odometry, "truth": self._truth, "imu": self._imu, "scan": self._scan,
             "map": self._map, "image": self._image,
@@ -162,7 +162,7 @@ class _Reading:
                     f"no {role.name} ({' or '.join(role.types)}): without it there is no comparison of {role.lacks}"
                 )
         return RecordedDrive(
-            path=folder, duration=(log_end - log_begin) / NS_PER_S, topics=dict(self._found),
+            path=folder, duration=(log_end - log_begin) / NS_PER_S, topics=dict(self._topics),
             commands=self._commands(begin), odometry=odometry, truth=truth, imu=self._imu_samples(begin),
             scans=self._scans(begin), map=(self._rows.get("map") or [None])[0], pictures=self._pictures(begin),
             arrivals=self._arrivals(), notes=tuple(self.notes),
@@ -187,7 +187,7 @@ class _Reading:
 
     def _on_stamp_clock(self, log_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Converts log times to the clock of the stamps; the two differ if simulation time was recorded with wall time as log time."""
-        topic = self._found.get("odom", "")
+        topic = self._topics.get("odom", "")
         log, stamps = self._log.get(topic, []), self._stamps.get(topic, [])
         if len(log) < 2 or len(stamps) != len(log) or abs(np.median(np.subtract(log, stamps))) < SAME_CLOCK_S * NS_PER_S:
             return log_ns
@@ -203,7 +203,7 @@ class _Reading:
             return None
         t, table = _in_order(rows, begin)
         x, y, yaw, linear, angular = table.T
-        return PlanarTrack(t, x, y, np.unwrap(yaw), linear, angular, self._found[role])
+        return PlanarTrack(t, x, y, np.unwrap(yaw), linear, angular, self._topics[role])
 
     def _truth_from_tf(self, odometry: PlanarTrack | None, begin: int) -> PlanarTrack | None:
         """Returns odometry in the map frame by a localiser's transform map -> odom; None = there is none."""

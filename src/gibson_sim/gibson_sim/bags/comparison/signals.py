@@ -66,8 +66,8 @@ def rests(
         still &= commanded == 0.0
     if imu is not None and len(imu.t) > 1:
         still &= _calm(imu, when)
-    found = [(when[a] + margin, when[b - 1] - margin) for a, b in stretches(still)]
-    return [(float(a), float(b)) for a, b in found if b - a >= least]
+    intervals = [(when[a] + margin, when[b - 1] - margin) for a, b in stretches(still)]
+    return [(float(a), float(b)) for a, b in intervals if b - a >= least]
 
 
 def _calm(imu: ImuSamples, when: F64) -> NDArray[np.bool_]:

@@ -90,16 +90,16 @@ def find_topics(infos: Mapping[str, TopicInfo], given: Mapping[str, str], where:
     Raises:
         ConfigError: a chosen topic does not exist or has another type.
     """
-    found: dict[str, str] = {}
+    topic_of_role: dict[str, str] = {}
     for role in ROLES:
         topic = given.get(role.name)
         if topic is None:
-            topic = _usual(role, infos, set(found.values()))
+            topic = _usual(role, infos, set(topic_of_role.values()))
         else:
             _check(role, topic, infos, where)
         if topic is not None:
-            found[role.name] = topic
-    return found
+            topic_of_role[role.name] = topic
+    return topic_of_role
 
 
 def _check(role: Role, topic: str, infos: Mapping[str, TopicInfo], where: str) -> None:

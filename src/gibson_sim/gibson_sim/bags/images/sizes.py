@@ -45,7 +45,7 @@ def size_line(streams: Iterable[ImageStream], form: ImageForm, free_bytes: int, 
     streams = tuple(streams)
     now, compressed, raw = (sum(s.bytes_per_s(f) for s in streams) for f in (form, "compressed", "raw"))
     about = "up to" if form == "raw" else "about"
-    before = f" before --compression {chunks}" if chunks != "none" and form == "raw" else ""
+    stage = f" before --compression {chunks}" if chunks != "none" and form == "raw" else ""
     minutes = free_bytes / max(60.0 * now, 1.0)
     room = f"the disk has room for {_duration(minutes)}" if minutes < 600.0 else "the disk has room for hours"
     other = (
@@ -53,7 +53,7 @@ def size_line(streams: Iterable[ImageStream], form: ImageForm, free_bytes: int, 
         if form == "raw"
         else f"raw ones would be {_size(60.0 * raw)}"
     )
-    return f"images are recorded {form}: {about} {_size(60.0 * now)} a minute{before} ({room}); {other}"
+    return f"images are recorded {form}: {about} {_size(60.0 * now)} per minute{stage} ({room}); {other}"
 
 
 def _size(count: float) -> str:

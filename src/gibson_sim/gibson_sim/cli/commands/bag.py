@@ -100,8 +100,8 @@ def _add_from_images(parser: argparse.ArgumentParser) -> None:
 def _from_images(args: argparse.Namespace) -> int:
     settings = CameraSettings(args.topic, args.rate, args.frame, args.hfov, args.compressed)
     with progress_bar("images") as advance:
-        made = write_bag(args.source, args.output, settings, advance)
-    print(made.text())
+        written = write_bag(args.source, args.output, settings, advance)
+    print(written.text())
     return 0
 
 

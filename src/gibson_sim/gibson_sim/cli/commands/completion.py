@@ -102,9 +102,9 @@ def _attach(parser: argparse.ArgumentParser) -> None:
             for below in action.choices.values():
                 _attach(below)
         elif action.nargs != 0 and not hasattr(action, "completer"):
-            found = _completer_of(action)
-            if found is not None:
-                action.completer = found  # type: ignore[attr-defined]
+            completer = _completer_of(action)
+            if completer is not None:
+                action.completer = completer  # type: ignore[attr-defined]
 
 
 def _completer_of(action: argparse.Action) -> Completer | None:
@@ -175,12 +175,12 @@ def _names_of_simulation(args: argparse.Namespace) -> dict[str, Any]:
     done = subprocess.run(
         command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=TIMEOUT_S, check=True
     )
-    found = dict(json.loads(done.stdout.splitlines()[-1]))
-    if not found["nodes"]:
-        return found  # no simulation, or none yet
+    completions = dict(json.loads(done.stdout.splitlines()[-1]))
+    if not completions["nodes"]:
+        return completions  # no simulation, or none yet
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        write_file(cache, json.dumps(found), durable=False)
+        write_file(cache, json.dumps(completions), durable=False)
     except (OSError, GibsonSimError):
         pass  # found again at the next press
-    return found
+    return completions

@@ -85,8 +85,8 @@ def run(args: argparse.Namespace) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     camera = ground.robot.cameras[0].name
     try:
-        code, found = run_job(lambda folder: _plan(args, folder, episode, episode_door(episode), camera), environment_of(args))
-        if code or not found.get("task"):
+        code, reports = run_job(lambda folder: _plan(args, folder, episode, episode_door(episode), camera), environment_of(args))
+        if code or not reports.get("task"):
             return code or ExitCode.ERROR
         measured = _measured(bag, episode_door(episode), OPEN)
         for path in _pictures(args, bag, camera, measured):
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     finally:
         if not args.keep_bag:
             shutil.rmtree(bag, ignore_errors=True)
-    return _report(args, found["task"]["all"][0], measured)
+    return _report(args, reports["task"]["all"][0], measured)
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -233,12 +233,12 @@ def _dds() -> Iterator[Finding]:
 
 def _routed_localnet(folder: Path = Path("/proc/sys/net/ipv4/conf")) -> str:
     """Returns the network interfaces whose packets the kernel routes to 127.0.0.1 (``route_localnet``), joined by commas."""
-    found = []
+    interfaces = []
     for setting in sorted(folder.glob("*/route_localnet")):
         with suppress(OSError):
             if setting.read_text().strip() == "1" and setting.parent.name not in ("default", "lo"):
-                found.append(setting.parent.name)
-    return ", ".join(found)
+                interfaces.append(setting.parent.name)
+    return ", ".join(interfaces)
 
 
 def _free_mb(path: Path) -> float:

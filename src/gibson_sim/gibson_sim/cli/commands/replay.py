@@ -73,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
     facts = read_facts(args.bag)
     _check(args, facts)
     environment = environment_of(args)
-    code, found = run_job(lambda folder: _plan(args, facts, folder), environment)
-    return _report(found.get("replay", {}), code)
+    code, reports = run_job(lambda folder: _plan(args, facts, folder), environment)
+    return _report(reports.get("replay", {}), code)
 
 
 def _check(args: argparse.Namespace, facts: RunFacts) -> None:
@@ -154,24 +154,24 @@ def _settings(cls: type[Any], recorded: Mapping[str, Any], args: argparse.Namesp
     return {**settings, **given(args, names)}
 
 
-def _report(found: Mapping[str, Any], code: int) -> int:
+def _report(report: Mapping[str, Any], code: int) -> int:
     """Prints the result of the replay; returns the exit code of the command."""
-    if not found:
+    if not report:
         return code
-    what = "inputs at their steps" if found["journal"] or found["lockstep"] else "commands at their times"
-    say(f"replay: {found['inputs']} {what}, {'in lockstep' if found['lockstep'] else 'free'}")
-    if not found["finished"]:
-        epoch, step = found["reached"]
+    what = "inputs at their steps" if report["journal"] or report["lockstep"] else "commands at their times"
+    say(f"replay: {report['inputs']} {what}, {'in lockstep' if report['lockstep'] else 'free'}")
+    if not report["finished"]:
+        epoch, step = report["reached"]
         say(
-            f"replay: ended early, in epoch {epoch} at step {step}; the recorded run ended in epoch {found['end'][0]} at {found['end'][1]}"
+            f"replay: ended early, in epoch {epoch} at step {step}; the recorded run ended in epoch {report['end'][0]} at {report['end'][1]}"
         )
-    if found["verification"] is None:
+    if report["verification"] is None:
         return code
-    verification = verification_from_json(found["verification"])
+    verification = verification_from_json(report["verification"])
     for line in verification.lines():
         say(f"verify: {line}")
     if not verification.is_equal:
-        for kind, other in found["other_surroundings"].items():
+        for kind, other in report["other_surroundings"].items():
             for name, (before, now) in other.items():
                 say(f"verify: {kind}: {name} is {now}, was {before}")
     return code or (ExitCode.OK if verification.is_equal else ExitCode.REPLAY_DIFFERS)

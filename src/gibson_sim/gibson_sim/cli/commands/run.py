@@ -166,7 +166,7 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
     Raises:
         GibsonSimError: an option is invalid; nothing was started yet.
     """
-    wanted = settings_from_args(PhysicsConfig, args)
+    physics_config = settings_from_args(PhysicsConfig, args)
     job = Job(folder, video=_new_file(args.video), summary=Path(args.summary) if args.summary else None)
     waits = {} if args.no_render else {STATE_TOPIC: 1}
     physics: dict[str, Any] = {"summary_path": str(folder / "physics.json")}
@@ -192,7 +192,7 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
     if args.drive:
         topics = [topic.lstrip("/") for topic in job.configs["record"].wanted_topics()] if job.bag else ["none"]
         recorded = not topics or "cmd_vel" in topics
-        job.configs["drive"] = _drive_settings(args, wanted.cmd_vel_type, subscribers=1 + recorded)
+        job.configs["drive"] = _drive_settings(args, physics_config.cmd_vel_type, subscribers=1 + recorded)
     if args.web or args.web_host or args.web_port is not None:
         job.configs["web"] = _web_settings(args)
         waits[WEB] = 1
@@ -204,9 +204,9 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
     elif args.video or args.snapshot:
         raise ConfigError("--no-render makes no images: leave it out, or leave out --video and --snapshot")
-    if wanted.lockstep:
+    if physics_config.lockstep:
         ours = ["drive"] * bool(args.drive) + ["render"] * (not args.no_render) + ["record"] * bool(job.bag)
-        physics["participants"] = "; ".join(filter(None, (*ours, wanted.participants)))
+        physics["participants"] = "; ".join(filter(None, (*ours, physics_config.participants)))
     physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in waits.items())
     job.configs["physics"] = config = settings_from_args(PhysicsConfig, args, **physics)
     drive = f"the drive {args.drive} commands the robot" if args.drive else ""

@@ -113,7 +113,7 @@ def _plan(scenario: Scenario, numbers: Sequence[int]) -> Sequence[RunSpec]:
 
     progress = PlanProgress()
     try:
-        return plan_runs(scenario, numbers, progress.tell)
+        return plan_runs(scenario, numbers, progress.report)
     finally:
         progress.close()
 
@@ -150,9 +150,9 @@ def _compare_two(args: argparse.Namespace) -> int:
 
     before, after = map(_results, args.compare)
     print(f"before: {before.rate.text()}\nafter:  {after.rate.text()}")
-    found = compare(before.results, after.results)
-    _print_comparison(found)
-    return ExitCode.ERROR if args.fail_if_worse and found.is_decline else ExitCode.OK
+    comparison = compare(before.results, after.results)
+    _print_comparison(comparison)
+    return ExitCode.ERROR if args.fail_if_worse and comparison.is_decline else ExitCode.OK
 
 
 def _print_comparison(comparison: Comparison) -> None:
@@ -194,9 +194,9 @@ class _Trial:
         if self._args.resume:
             self._results = finished(self._folder, self._plan)
             spent = _results(self._folder).wall_time if (self._folder / RESULTS).exists() else 0.0
-        todo = [one for one in self._runs if one.number not in self._results]
-        before = f", {len(self._runs) - len(todo)} of them already done" if len(todo) < len(self._runs) else ""
-        say(f"{self._scenario.name}: {runs_text(len(self._runs))}{before}; results go into {self._folder}")
+        todo = [run for run in self._runs if run.number not in self._results]
+        already_done = f", {len(self._runs) - len(todo)} of them already done" if len(todo) < len(self._runs) else ""
+        say(f"{self._scenario.name}: {runs_text(len(self._runs))}{already_done}; results go into {self._folder}")
         progress = TrialProgress(len(self._runs), len(self._runs) - len(todo))
         started, begin = datetime.now(timezone.utc), time.monotonic()
 
@@ -207,7 +207,7 @@ class _Trial:
         interrupted = False
         progress.begins()
         try:
-            execute_runs(self._scenario, self._changes, todo, backend, self._folder, keep, progress.tell)
+            execute_runs(self._scenario, self._changes, todo, backend, self._folder, keep, progress.report)
         except KeyboardInterrupt:
             interrupted = True
         finally:

@@ -166,10 +166,10 @@ class Chain:
         best, least = now, math.inf
         for attempt in range(1 + _RESTARTS):
             begin = now if attempt == 0 else np.clip(rng.uniform(low, np.maximum(low, high)), self._lower, self._upper)
-            found = self._descend(target, begin, start, rest_positions, orientation)
-            size = float(np.linalg.norm(self._error(target, found, start, orientation)[0]))
+            solution = self._descend(target, begin, start, rest_positions, orientation)
+            size = float(np.linalg.norm(self._error(target, solution, start, orientation)[0]))
             if size < least:
-                best, least = found, size
+                best, least = solution, size
             if least < 10 * _EXACT:
                 break
         error, _ = self._error(target, best, start, orientation)

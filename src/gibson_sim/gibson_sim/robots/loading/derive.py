@@ -111,12 +111,12 @@ def _named_wheels(model: UrdfModel) -> tuple[str, ...]:
 
 
 def _derive_drive(
-    model: UrdfModel, found: list[Wheel], sideways: Sequence[UrdfJoint], guesses: list[Guess]
+    model: UrdfModel, candidates: list[Wheel], sideways: Sequence[UrdfJoint], guesses: list[Guess]
 ) -> tuple[dict[str, Any], list[Wheel]]:
     """Returns (section ``drive``, its wheels, each with a radius)."""
-    named = [wheel for wheel in found if wheel.joint.name in _named_wheels(model)]
+    named = [wheel for wheel in candidates if wheel.joint.name in _named_wheels(model)]
     # Prefer the wheels of Gazebo's plugin, if they form pairs; others are assumed to be casters.
-    wheels = named if find_pairs(named) else found
+    wheels = named if find_pairs(named) else candidates
     pairs = find_pairs(wheels)
     if not pairs:
         raise RobotError(_no_drive_reason(model, wheels, sideways))
