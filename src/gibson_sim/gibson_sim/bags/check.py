@@ -36,7 +36,7 @@ ONE_SOURCE = (
 """Types whose topics have one publisher, so that their stamps must increase. Others (/rosout, /diagnostics) mix several."""
 
 NO_RATE = ("rcl_interfaces/msg/ParameterEvent", "rcl_interfaces/msg/Log", "diagnostic_msgs/msg/DiagnosticArray")
-"""Types whose messages come when something happens, from many nodes: their topics have no rate."""
+"""Types whose messages are sent on events, by many nodes: their topics have no rate."""
 
 Stamps = NDArray[np.int64]
 
@@ -52,8 +52,8 @@ class TopicReport:
     rate_hz: float = 0.0
     """Message rate in simulation time, Hz, from the nominal period; 0 = the topic has no rate."""
     missing: int | None = None
-    """Messages missing by the nominal period; None = it cannot be told, as of topics without a rate or without stamps, and of camera_info
-    without its images: both come only while the images have subscribers."""
+    """Messages missing by the nominal period; None = unknown, for topics without a rate or without stamps, and for camera_info without its
+    images: both are published only while the images have subscribers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,8 +71,10 @@ class SceneBuilder:
         self.root = Path(os.path.realpath(root))
         self._description_roots = (self.root,) if description is None else description_roots(root, description)
         self._environment = environment
-        found = environment_folders() if environment else ()
-        self.roots: tuple[Path, ...] | None = None if extra_roots is None else (*self._description_roots, *extra_roots, *found)
+        environment_roots = environment_folders() if environment else ()
+        self.roots: tuple[Path, ...] | None = (
+            None if extra_roots is None else (*self._description_roots, *extra_roots, *environment_roots)
+        )
         """Folders that the files of the scene must lie in; None = anywhere."""
         self.loader = MeshLoader(self.roots, textures=False, max_bytes=max_bytes)
         # The reader of a body has already checked the location of its files.

@@ -444,9 +444,9 @@ def _raise_for(lines: Sequence[str]) -> None:
         SpawnFailure.UNSUPPORTED_ASSETS: (OmissionKind.UNSUPPORTED_ASSET, OmissionKind.UNSUPPORTED_ELEMENT),
     }
     for code, kinds in codes.items():
-        found = [line.removesuffix("; left out") for line in lines if kind_of(line) in kinds]
-        if found:
-            raise SpawnError(code, "; ".join(dict.fromkeys(found)))
+        omissions = [line.removesuffix("; left out") for line in lines if kind_of(line) in kinds]
+        if omissions:
+            raise SpawnError(code, "; ".join(dict.fromkeys(omissions)))
 
 
 def _read(file: Path) -> bytes:

@@ -121,16 +121,16 @@ def worlds_below(
     Raises:
         WorldError: one of the sources does not exist.
     """
-    found: dict[Path, WorldEntry] = {}
+    entries: dict[Path, WorldEntry] = {}
     search = Search() if search is None else search
     for source in sources:
         try:
-            found.update((path, _world(path, search=search)) for path in _below(source.strip(), search))
+            entries.update((path, _world(path, search=search)) for path in _below(source.strip(), search))
         except SceneNotFoundError as e:
             if not continue_on_error:
                 raise WorldError(WorldFailure.NO_RESOURCE, str(e)).with_public(str(e)) from e
             _log.warning("%s; left out", e)
-    return tuple(found[path] for path in sorted(found))
+    return tuple(entries[path] for path in sorted(entries))
 
 
 def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore_missing: bool = False) -> SceneSpec:

@@ -102,8 +102,8 @@ class JointTrajectory:
             if point.accelerations and not point.velocities:
                 raise CommandError(f"{what} has accelerations but no velocities; give both, or no accelerations")
             if point.time_ns <= last:
-                before = "must not be negative" if i == 0 else f"must be after that of point {i - 1}, {last / 1e9:g} s"
-                raise CommandError(f"{what}: time_from_start is {point.time_ns / 1e9:g} s, {before}")
+                requirement = "must not be negative" if i == 0 else f"must be after that of point {i - 1}, {last / 1e9:g} s"
+                raise CommandError(f"{what}: time_from_start is {point.time_ns / 1e9:g} s, {requirement}")
             last = point.time_ns
 
 

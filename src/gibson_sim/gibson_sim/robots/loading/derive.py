@@ -78,13 +78,13 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
     """
     values: dict[str, Any] = {}
     guesses: list[Guess] = []
-    found, sideways = find_wheels(model, points, _named_wheels(model))
-    if not found and not sideways:
+    candidates, sideways = find_wheels(model, points, _named_wheels(model))
+    if not candidates and not sideways:
         _refuse_legs(model, points)
     try:
-        drive, wheels = _derive_drive(model, found, sideways, guesses)
+        drive, wheels = _derive_drive(model, candidates, sideways, guesses)
     except RobotError:
-        if needs_drive or find_pairs(found):
+        if needs_drive or find_pairs(candidates):
             raise
         drive, wheels = None, []
         wrong = _wrong_axes(model)
@@ -153,8 +153,8 @@ def _derive_drive(
     drive["wheel_radius"] = round(radius, 5)
     joints = ", ".join(wheel.joint.name for wheel in measured)
     track = float(used[0].left.hub[1] - used[0].right.hub[1])
-    told = " (Gazebo's plugin drives by them)" if wheels is named else ""
-    guesses.append(Guess("drive", f"{drive['type']}, by the wheels of {joints}{told}"))
+    reason = " (Gazebo's plugin drives by them)" if wheels is named else ""
+    guesses.append(Guess("drive", f"{drive['type']}, by the wheels of {joints}{reason}"))
     guesses.append(Guess("drive", f"{radius:.4g} m, {how}; wheels {track:.4g} m apart", "wheel_radius"))
     if drive["type"] == "skid_steer":
         text = "1, real skid steer turns as if its wheels stood 1.5 to 2 times farther apart"
@@ -215,8 +215,8 @@ def _fix_base(model: UrdfModel, points: MeshPoints | None, values: dict[str, Any
 def _lowest(model: UrdfModel, names: Sequence[str], transforms: dict[str, Mat4], points: MeshPoints | None) -> float | None:
     """Returns the minimum z of the collision shapes of links, metres, root frame; None = no collision shapes."""
     spanned = [link_points(model.link(name).collisions, transforms[name], points) for name in names]
-    found = np.concatenate(spanned) if spanned else np.zeros((0, 3))
-    return float(found[:, 2].min()) if len(found) else None
+    corners = np.concatenate(spanned) if spanned else np.zeros((0, 3))
+    return float(corners[:, 2].min()) if len(corners) else None
 
 
 def _wrong_axes(model: UrdfModel) -> str:
@@ -225,14 +225,14 @@ def _wrong_axes(model: UrdfModel) -> str:
     A joint without ``<axis>`` rotates about its x axis, which is a common mistake.
     """
     transforms = model.transforms()
-    found = []
+    wheels_along_x = []
     for joint in model.joints:
         T = transforms[joint.child]
         is_wheel = "wheel" in f"{joint.name} {joint.child}".lower()
         if joint.kind == "continuous" and is_wheel and abs(float((T[:3, :3] @ np.array(joint.axis))[0])) >= ALIGNED:
-            found.append((joint.name, T))
-    for i, (name, T) in enumerate(found):
-        for _, other in found[i + 1 :]:
+            wheels_along_x.append((joint.name, T))
+    for i, (name, T) in enumerate(wheels_along_x):
+        for _, other in wheels_along_x[i + 1 :]:
             apart = np.abs(T[:3, 3] - other[:3, 3])
             if apart[1] > max(apart[0], apart[2], _LEAST_TRACK):
                 across = " ".join(f"{round(float(value), 3) + 0.0:g}" for value in T[1, :3])

@@ -194,17 +194,17 @@ class SdfModels:
 
     def find_model(self, uri: str, base: Path) -> Path | None:
         """Returns the SDF file of the model at a URI, or None with a warning; ``base``: folder of relative URIs."""
-        found = self.uris.find(uri, base) if uri else None
-        if found is None:
+        location = self.uris.find(uri, base) if uri else None
+        if location is None:
             reason = "is on the network: download it and name the copy" if uri.startswith("http") else "does not exist"
             self.builder.warn(f"model {uri or '(without a uri)'} {reason}; left out", OmissionKind.MISSING_ASSET)
             return None
-        if is_file(found):
-            return found
-        for candidate in sdf_files(found):
+        if is_file(location):
+            return location
+        for candidate in sdf_files(location):
             if is_file(candidate):
                 return candidate
-        self.builder.warn(f"model {uri}: {found} holds no model.sdf; left out", OmissionKind.MISSING_ASSET)
+        self.builder.warn(f"model {uri}: {location} holds no model.sdf; left out", OmissionKind.MISSING_ASSET)
         return None
 
     def model(
