@@ -13,7 +13,7 @@ import pytest
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy, transform_points
 from gibson_sim.tasks.episode import Episode, Observation, item_root
-from gibson_sim.tasks.furnishing import extent, lying, middle, standing
+from gibson_sim.tasks.furnishing import extent, furniture_of, item_centre, item_on_point
 from gibson_sim.tasks.ground import Ground, ground_of
 from gibson_sim.tasks.kinds.arm_task import RandomArmPolicy
 from gibson_sim.tasks.kinds.open_cabinet import CABINET, THING, OpenCabinet, front_of
@@ -56,7 +56,7 @@ class NearCabinet(OpenCabinet):
 
 
 def _near(episode: Episode) -> Episode:
-    there = standing(episode.items[0])
+    there = furniture_of(episode.items[0])
     return replace(episode, start=pose_from_xyz_rpy((*there.stand, 0.0), (0.0, 0.0, there.yaw)))
 
 
@@ -73,7 +73,7 @@ def _observation(
         place = episode.items[0].pose
         x += opening if front.slides else 0.0
         position = transform_points(matrix_from_pose(place), np.array([(x, y, z)]))[0]
-        yaw = standing(episode.items[0]).yaw + math.pi + (0.0 if front.slides else front.side * opening)
+        yaw = furniture_of(episode.items[0]).yaw + math.pi + (0.0 if front.slides else front.side * opening)
         links[f"{CABINET}/{front.link}"] = pose_from_xyz_rpy((position[0], position[1], position[2]), (0.0, 0.0, yaw))
     return Observation(1.0, links, BASE, held=held, speeds={item_root(item): speed})
 
@@ -93,7 +93,7 @@ def test_no_episode_begins_done_nor_with_furniture_in_something(arena: Ground, n
         obs = _observation(episode, episode.items[-1].pose, FAR)
         assert not task.succeeded(episode, obs, arena)
         assert task.remaining(episode, obs, arena) > 1.0
-        furniture = [standing(item) for item in episode.items[:-1]]
+        furniture = [furniture_of(item) for item in episode.items[:-1]]
         outlines = [one.outline() for one in furniture]
         for one in furniture:
             assert (arena.floor.clearance(one.outline()) > 0.0).all()
@@ -121,14 +121,17 @@ def test_a_room_without_a_place_is_refused(arena: Ground) -> None:
     rows, columns = np.indices(arena.floor.shape)
     # 1.2 x 1.2 m of floor are left.
     small = replace(arena.floor, occupied=arena.floor.occupied | (rows > 26) | (columns > 26))
-    for name, words in (("pick-and-place", "no wall has a table"), ("open-cabinet-and-fetch", "no wall has a cabinet")):
+    for name, words in (
+        ("pick-and-place", "no wall has room for a table"),
+        ("open-cabinet-and-fetch", "no wall has room for a cabinet"),
+    ):
         with pytest.raises(SceneError, match=f"task {name}: scene 'arena' has no room for it: {words}"):
             task_of(name).generate(0, replace(arena, floor=small))
 
 
 @pytest.mark.parametrize("name", ARM_TASKS)
 def test_a_robot_without_an_arm_is_refused(name: str) -> None:
-    with pytest.raises(ConfigError, match="has no arm with a gripper; choose one that has, such as arm_bot"):
+    with pytest.raises(ConfigError, match="has no arm with a gripper; choose a robot that has one, such as arm_bot"):
         task_of(name).generate(0, ground_of("arena", "gibson_bot"))
 
 
@@ -151,9 +154,9 @@ def test_a_thing_is_placed_where_it_rests_within_3_cm_and_is_let_go(
     thing = episode.items[-1]
     assert episode.goal.position is not None
     x, y, z = episode.goal.position
-    there = lying("thing", thing.model, (x + offset, y, z), 0.5).pose
+    there = item_on_point("thing", thing.model, (x + offset, y, z), 0.5).pose
     obs = _observation(episode, there, FAR, held=held, speed=speed)
-    mx, my, mz = middle(thing, obs)
+    mx, my, mz = item_centre(thing, obs)
     obs = replace(obs, links={**obs.links, TOOL: Pose((mx, my, mz + tool))})
     assert task.succeeded(episode, obs, arena) == done
     if offset <= NEAR:
@@ -176,9 +179,9 @@ def test_both_places_are_apart_and_on_surfaces(arena: Ground) -> None:
 def test_a_thing_is_fetched_when_it_is_held_outside_and_the_front_is_open(arena: Ground, seed: int) -> None:
     task = OpenCabinet()
     episode = task.generate(seed, arena)
-    cabinet, enough = standing(episode.items[0]), front_of(episode).enough
-    outside = lying(THING, episode.items[1].model, cabinet.point(0.8, 0.0, 0.5), 0.0).pose
-    near = lying(THING, episode.items[1].model, cabinet.point(0.30, 0.0, 0.5), 0.0).pose
+    cabinet, enough = furniture_of(episode.items[0]), front_of(episode).enough
+    outside = item_on_point(THING, episode.items[1].model, cabinet.point(0.8, 0.0, 0.5), 0.0).pose
+    near = item_on_point(THING, episode.items[1].model, cabinet.point(0.30, 0.0, 0.5), 0.0).pose
     for thing, held, opening, done in (
         (outside, THING, enough + 0.01, True),
         (outside, "", enough + 0.01, False),

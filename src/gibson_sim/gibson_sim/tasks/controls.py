@@ -1,4 +1,4 @@
-"""Turns an array of numbers from -1 to 1 into an action of a robot. Pure."""
+"""Converts an action array of numbers from -1 to 1 to an action of a robot. Pure."""
 
 from __future__ import annotations
 
@@ -26,37 +26,37 @@ class Controls:
 
     Args:
         robot: the robot; only its first arm is controlled.
-        period: seconds between two actions.
-        reverse: highest speed backwards as a fraction of that forwards, 0 to 1: speeds from it to the limit are spread over -1 to 1.
+        period: control period, seconds.
+        reverse: largest reverse speed as a fraction of the forward speed limit, 0 to 1; the range of speeds is mapped to -1 to 1.
 
     Raises:
-        ConfigError: the robot cannot drive, or ``reverse`` is not allowed.
+        ConfigError: the robot has no drive, or ``reverse`` is out of range.
     """
 
     def __init__(self, robot: RobotSpec, period: float, reverse: float = 1.0) -> None:
         if not 0.0 <= reverse <= 1.0:
-            raise ConfigError(f"reverse is {reverse}, must be 0 (never backwards) to 1 (as quick as forwards)")
+            raise ConfigError(f"reverse is {reverse}, must be 0 (never backwards) to 1 (as fast as forwards)")
         if robot.drive is None:
-            raise ConfigError(f"robot {robot.name!r} has no drive; tasks need one that moves")
+            raise ConfigError(f"robot {robot.name!r} has no drive; tasks need a robot with a drive")
         self._max_speeds = (robot.drive.max_linear, robot.drive.max_angular)
         self._period, self._reverse = period, reverse
         joints = robot.manipulators[0].joints if robot.manipulators else ()
         self._limits = _limits(robot, joints)
         self.layout = ObservationLayout(joints, tuple(low for low, _ in self._limits), tuple(high for _, high in self._limits))
-        """Of the observation arrays."""
+        """Layout of the observation arrays."""
         self.size = 2 + (len(joints) + 1 if joints else 0)
         """Length of an action array."""
         self._targets: list[float] = []
 
     def begin(self, obs: Observation) -> None:
-        """Begins an episode: the arm holds its present position."""
+        """Begins an episode: the arm holds its current position."""
         self._targets = [obs.joints[name] for name in self.layout.joints]
 
     def action(self, values: ArrayLike, obs: Observation) -> Action:
-        """Returns the action of an array (``size``,); values are clipped to -1 to 1.
+        """Returns the action of an array, (``size``,); values are clipped to -1 to 1.
 
         Raises:
-            CommandError: the array has another shape or holds a NaN.
+            CommandError: the array has another shape, or contains a value that is not finite.
         """
         array = np.asarray(values, dtype=np.float64)
         if array.shape != (self.size,) or not np.isfinite(array).all():
@@ -79,12 +79,12 @@ def _limits(robot: RobotSpec, joints: Sequence[str]) -> list[tuple[float, float]
     if not joints:
         return []
     known = {joint.name: joint for joint in read_urdf(robot.urdf).joints}
-    found = []
+    limits = []
     for name in joints:
         joint = known[name]
-        turns = joint.kind == "continuous" or joint.lower > joint.upper
-        found.append((-_TURNS, _TURNS) if turns else (joint.lower, joint.upper))
-    return found
+        unlimited = joint.kind == "continuous" or joint.lower > joint.upper
+        limits.append((-_TURNS, _TURNS) if unlimited else (joint.lower, joint.upper))
+    return limits
 
 
 def finger_joints(robot: RobotSpec, grasp: bool | None) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""How far the robot still has to drive to a place, from any point of the floor. Pure."""
+"""Length of the shortest path to a goal from any point of the floor. Pure."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from gibson_sim.tasks.ground import Ground
 
 F64 = NDArray[np.float64]
 _AHEAD = 0.5
-"""How far ahead the shortest path is looked up, metres."""
+"""Distance at which the direction of the shortest path is determined, metres."""
 _DIRECTIONS = 64
 
 
 class DrivingDistance:
-    """Length of the shortest path around static obstacles to one goal, as a function of the robot's place; loose objects are ignored.
+    """Length of the shortest path around static obstacles to one goal, as a function of the robot's position; movable objects are ignored.
 
-    It has no jumps: between centres of cells it is interpolated, and where no path begins (closer to an obstacle than paths come) it is
-    the distance to the nearest place where one does, plus the length of that path. So its decrease is a fair reward for a step.
+    The function is continuous: it is interpolated between centres of cells, and at positions without a path (too close to an obstacle) it is
+    the distance to the nearest position with a path plus the length of that path. Its decrease is therefore suitable as the reward of a step.
 
     Args:
         ground: the floor and the robot.
         goal: x, y, world frame, metres.
 
     Raises:
-        SceneError: the robot cannot be at the goal.
+        SceneError: the goal is not reachable.
     """
 
     def __init__(self, ground: Ground, goal: tuple[float, float]) -> None:
@@ -38,13 +38,13 @@ class DrivingDistance:
         self._lengths: F64 = lengths[tuple(nearest)] + gap
 
     def __call__(self, xy: tuple[float, float]) -> float:
-        """Returns the distance from a place, world frame, in metres."""
+        """Returns the distance from a position, world frame, metres."""
         floor = self._floor
         column, row = (np.asarray(xy, dtype=np.float64) - floor.origin) / floor.resolution - 0.5
         return float(ndimage.map_coordinates(self._lengths, [[row], [column]], order=1, mode="nearest")[0])
 
     def direction(self, xy: tuple[float, float]) -> tuple[float, float]:
-        """Returns where the shortest path leads from a place: unit vector, world frame; to the goal itself once it is close."""
+        """Returns the direction of the shortest path at a position: unit vector, world frame; close to the goal, the direction to it."""
         ahead = min(_AHEAD, max(self(xy), self._floor.resolution))
         angles = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
         ring = np.stack([np.cos(angles), np.sin(angles)])

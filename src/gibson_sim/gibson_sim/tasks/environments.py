@@ -1,6 +1,6 @@
 """Tasks as Gymnasium environments. Importing this module registers them: ``gymnasium.make("GibsonSim/PointGoal-v0")``.
 
-No other file imports Gymnasium, which is optional: ``pip install gibson_sim[gym]``.
+No other module imports Gymnasium, which is optional: ``pip install gibson_sim[gym]``.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ AUTORESETS = {
     "same_step": AutoresetMode.SAME_STEP,
     "disabled": AutoresetMode.DISABLED,
 }
-"""When the environments of a vector begin their next episodes, by name."""
+"""Autoreset modes of vector environments, by name."""
 NAMESPACE, VERSION = "GibsonSim", 0
 SUCCESS_REWARD, STEP_REWARD, COLLISION_REWARD, CONTACT_REWARD = 10.0, -0.01, -0.1, -0.05
-"""For success, for each step, for each static obstacle that the robot begins to touch, and for each step after which it touches one. They
-are added to the distance by which the goal came nearer in the step: metres along the shortest path, or the task's own measure."""
+"""Rewards for success, for each step, for each new contact with a static obstacle, and for each step that ends in contact with one. They are
+added to the progress in the step: the decrease of the path length to the goal, metres, or of the task's own measure."""
 _HIGHEST_SEED = 2**31
 
 
@@ -50,23 +50,23 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
     an arm also the speed of each joint, and the gripper: above 0 it closes and holds, else it opens. docs/tasks.md describes the
     observations.
 
-    Nothing heavy is loaded before the first ``reset``, so environments can be made in one process and used in another.
+    Scene, physics and renderer are loaded at the first ``reset``, so environments can be created in one process and used in another.
 
     Args:
         task: name of the task.
         observation: ``state``, or ``rgbd`` for images and proprioception.
-        scene: name or path of a scene, or ``arena``; empty = the task's own.
-        robot: name or path of a robot; empty = the task's own.
+        scene: name or path of a scene, or ``arena``; empty = the task's default.
+        robot: name or path of a robot; empty = the task's default.
         size: width and height of the images, pixels.
         control_hz: actions per second of simulation time.
         step_hz: physics steps per second of simulation time.
-        reverse: highest speed backwards as a fraction of that forwards, 0 to 1; actions from -1 to 1 cover what is left.
-        device: EGL device that draws, as ``gibson-sim doctor`` lists them; None = a GPU if there is one.
-        render_mode: ``rgb_array`` = ``render`` returns the robot's camera image beside one from above; None = no pictures.
+        reverse: largest reverse speed as a fraction of the forward speed limit, 0 to 1; the range of speeds is mapped to -1 to 1.
+        device: EGL device for rendering, as listed by ``gibson-sim doctor``; None = the first GPU that works, else software.
+        render_mode: ``rgb_array`` = ``render`` returns the robot's camera image beside a top view; None = no pictures.
 
     Raises:
-        ConfigError: an argument is not allowed.
-        RobotError: there is no such robot.
+        ConfigError: an argument is out of range or unknown.
+        RobotError: the robot does not exist or cannot be loaded.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012
@@ -115,7 +115,7 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[ObservationArrays, dict[str, Any]]:
-        """Begins the episode of ``seed``, or of a seed drawn from the environment's own generator.
+        """Begins the episode of ``seed``, or of a seed sampled from the environment's generator.
 
         Raises:
             SceneError: the scene has no room for the task.
@@ -128,21 +128,20 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         self._classes = tuple(item_body(item).semantic_class for item in run.episode.items)
         self._controls.begin(run.observation)
         self._driving_distance = self._path_to_goal()
-        self._left = self._remaining()
+        self._remaining_distance = self._remaining()
         self._collisions = 0
         return self._observe(), {"seed": run.episode.seed, "goal": run.episode.goal.text}
 
     def step(self, action: NDArray[np.float32]) -> tuple[ObservationArrays, float, bool, bool, dict[str, Any]]:
-        """Applies an action for one control period; ``info`` has the metrics of the episode so far, with SPL if the task defines it."""
+        """Applies an action for one control period; ``info`` has the metrics of the episode so far, including SPL if the task defines it."""
         run = self._running()
-        before = self._left
+        last_remaining = self._remaining_distance
         run.step(self._controls.action(action, run.observation))
-        metrics, self._left = run.metrics, self._remaining()
-        nearer, collided = before - self._left, metrics.collisions - self._collisions
+        metrics, self._remaining_distance = run.metrics, self._remaining()
+        progress, new_collisions = last_remaining - self._remaining_distance, metrics.collisions - self._collisions
         self._collisions = metrics.collisions
-        reward = (
-            nearer + STEP_REWARD + COLLISION_REWARD * collided + CONTACT_REWARD * run.touching + SUCCESS_REWARD * run.succeeded
-        )
+        reward = progress + STEP_REWARD + COLLISION_REWARD * new_collisions
+        reward += CONTACT_REWARD * run.touching + SUCCESS_REWARD * run.succeeded
         info = {
             "success": metrics.success,
             "path_length": metrics.path_length,
@@ -151,14 +150,14 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
             "goal_distance": metrics.goal_distance,
             "time": metrics.time,
         }
-        # NaN does not equal itself, so Gymnasium's env checker, which compares two runs, would fail.
+        # NaN does not equal itself, so Gymnasium's environment checker, which compares two runs, would fail.
         if not math.isnan(metrics.spl):
             info["spl"] = metrics.spl
         return self._observe(), float(reward), run.succeeded, run.over and not run.succeeded, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Returns the robot's camera image beside one from above, (256, 512, 3); None without a render mode."""
-        return None if self.render_mode is None else self._task_camera().both(256)
+        """Returns the robot's camera image beside a top view, (256, 512, 3); None without a render mode."""
+        return None if self.render_mode is None else self._task_camera().camera_and_top_view(256)
 
     def close(self) -> None:
         """Frees engine and renderer; a second call does nothing."""
@@ -170,8 +169,8 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         run, layout = self._running(), self._controls.layout
         if self._observation == "state":
             path = self._driving_distance
-            way = (0.0, 0.0) if path is None else path.direction(run.observation.xy)
-            return full_state(layout, run.episode, run.observation, self._classes, self._rays, way)
+            direction = (0.0, 0.0) if path is None else path.direction(run.observation.xy)
+            return full_state(layout, run.episode, run.observation, self._classes, self._rays, direction)
         rgb, depth = self._task_camera().rgbd()
         return {"rgb": rgb, "depth": depth, "state": own_state(layout, run.episode, run.observation)}
 
@@ -181,7 +180,7 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         return None if goal is None or not self._task.rewards_by_path else DrivingDistance(run.ground, goal[:2])
 
     def _remaining(self) -> float:
-        """Returns what rewards derive from: the length of the path to the goal, or the task's own measure."""
+        """Returns the measure from which rewards derive: the length of the path to the goal, or the task's own measure."""
         run = self._running()
         return run.remaining if self._driving_distance is None else self._driving_distance(run.observation.xy)
 
@@ -201,23 +200,23 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
 
 
 def in_processes(count: int, task: str, *, autoreset: str = "next_step", **options: Any) -> AsyncVectorEnv:
-    """Returns environments of a task as one vector, each in a spawned process, where it keeps its world from episode to episode.
+    """Returns a vector environment of a task; each environment runs in a spawned process, which keeps its world between episodes.
 
-    ``reset(seed=s)`` begins the episodes of the seeds s, s + 1, ...; each environment draws the seeds of its later ones from a
-    generator of its own. Rasteriser threads share the cores (``LP_NUM_THREADS``, unless it is set). Programs that call this need
-    ``if __name__ == "__main__":``, since a spawned process imports them again.
+    ``reset(seed=s)`` begins the episodes of the seeds s, s + 1, ...; each environment samples the seeds of later episodes from its own
+    generator. Rasteriser threads share the cores (``LP_NUM_THREADS``, unless it is set). Programs that call this function need
+    ``if __name__ == "__main__":``, since spawned processes import them again.
 
     Args:
         count: number of environments, 1 or more.
         task: name of the task.
-        autoreset: ``next_step``: the step after the last one of an episode begins the next episode, its action counts for nothing, and
-            its reward is 0; ``same_step``: the last step itself does, and what it observed is in ``info["final_obs"]``, with
-            ``info["final_info"]``; ``disabled``: the caller begins episodes, by ``reset(options={"reset_mask": ...})``.
-        options: those of ``TaskEnvironment``.
+        autoreset: ``next_step``: the step after the last one of an episode begins the next episode, ignores its action, and returns
+            reward 0; ``same_step``: the last step begins the next episode, and returns the last observation in ``info["final_obs"]``, with
+            ``info["final_info"]``; ``disabled``: the caller begins episodes with ``reset(options={"reset_mask": ...})``.
+        options: arguments of ``TaskEnvironment``.
 
     Raises:
-        ConfigError: an argument is not allowed.
-        RobotError: there is no such robot.
+        ConfigError: an argument is out of range or unknown.
+        RobotError: the robot does not exist or cannot be loaded.
     """
     if count < 1:
         raise ConfigError(f"count is {count}, must be 1 or more environments")
@@ -229,15 +228,15 @@ def in_processes(count: int, task: str, *, autoreset: str = "next_step", **optio
 
 @dataclass(frozen=True)
 class _InProcess:
-    """Makes the environment of a process of a vector."""
+    """Factory of the environment of one process of a vector environment."""
 
     task: str
     options: dict[str, Any]
     threads: int
-    """Of the rasteriser."""
+    """Number of threads of the rasteriser."""
 
     def __call__(self) -> TaskEnvironment:
-        # Gymnasium also makes one in the process of the caller, for its spaces; that process keeps its settings.
+        # Gymnasium also creates one in the caller's process, for its spaces; that process keeps its settings.
         if multiprocessing.parent_process() is not None:
             os.environ.setdefault("LP_NUM_THREADS", str(self.threads))
         return TaskEnvironment(self.task, **self.options)

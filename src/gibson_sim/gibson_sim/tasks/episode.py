@@ -1,4 +1,4 @@
-"""Values of tasks: episodes, observations, actions. Pure."""
+"""Value types of tasks: episodes, observations, actions. Pure."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ class Item:
     """An object that an episode adds to the scene."""
 
     name: str
-    """Letters, digits and ``_``; unique in the scene."""
+    """Name, unique in the scene: letters, digits and ``_``."""
     model: str
     """Name of a built-in object, see docs/objects.md, or path of a URDF."""
     pose: Pose
     """T_world_root at the start."""
     text: str = ""
-    """URDF text that is loaded in place of the model; empty = the model itself."""
+    """URDF text loaded instead of the model; empty = load the model."""
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What the robot has to achieve."""
+    """The goal of an episode."""
 
     text: str
-    """One sentence for a human reader."""
+    """Description, one sentence."""
     position: Vec3 | None = None
-    """World frame, metres; None = the robot has to find it."""
+    """Goal position, world frame, metres; None = unknown, the robot must find it."""
     radius: float = 0.0
     """Distance to ``position`` within which the goal is reached, metres."""
     target: str = ""
@@ -56,21 +56,21 @@ class Episode:
     items: tuple[Item, ...]
     goal: Goal
     shortest: float
-    """Length of the shortest path to the goal, metres; NaN = not meaningful for the task."""
+    """Length of the shortest path to the goal, metres; NaN = not defined for the task."""
     time_limit: float
-    """Seconds of simulation time."""
+    """Maximum duration, seconds of simulation time."""
     removed: tuple[str, ...] = ()
     """Names of bodies of the scene that are removed for the episode."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a policy knows at one time."""
+    """The input of a policy at one time."""
 
     time: float
-    """Seconds of simulation time since the episode began."""
+    """Simulation time since the start of the episode, seconds."""
     links: Mapping[str, Pose]
-    """T_world_link of all robots and bodies, by ``<body>/<link>``."""
+    """T_world_link of all links of robots and bodies, by ``<body>/<link>``."""
     base_link: str
     """Name of the robot's base link in ``links``, ``<robot>/<link>``."""
     linear: float = 0.0
@@ -78,13 +78,13 @@ class Observation:
     angular: float = 0.0
     """Yaw rate of the base, rad/s."""
     joints: Mapping[str, float] = field(default_factory=dict)
-    """Positions of the robot's joints other than those of its drive, radians or metres."""
+    """Positions of the robot's joints, except those of its drive, radians or metres."""
     held: str = ""
-    """Name of the body that the gripper holds; empty = none."""
+    """Name of the body held by the gripper; empty = none."""
     speeds: Mapping[str, float] = field(default_factory=dict)
     """Speeds of the origins of ``links``, m/s."""
     touch: tuple[float, float] = (0.0, 0.0)
-    """Where the robot is touched from the side: unit vector, ahead and to the left in the base frame; zeros = nowhere."""
+    """Direction of lateral contacts: unit vector, x, y in the base frame; zeros = no contact."""
 
     @property
     def base(self) -> Pose:
@@ -107,7 +107,7 @@ class Observation:
         return math.hypot(point[0] - x, point[1] - y)
 
     def in_base(self, point: Vec3 | tuple[float, float]) -> tuple[float, float]:
-        """Returns x, y of a point of the world frame in the base frame: metres ahead and to the left."""
+        """Transforms x, y of a world point to the base frame: distances ahead and to the left, metres."""
         x, y = self.xy
         dx, dy, c, s = point[0] - x, point[1] - y, math.cos(self.yaw), math.sin(self.yaw)
         return c * dx + s * dy, c * dy - s * dx
@@ -122,23 +122,23 @@ class Action:
     angular: float = 0.0
     """Yaw rate of the base, rad/s."""
     joints: Mapping[str, float] = field(default_factory=dict)
-    """Target positions of arm joints, radians or metres; joints without one keep their target."""
+    """Target positions of arm joints, radians or metres; other joints keep their targets."""
     grasp: bool | None = None
-    """True = close the gripper and hold what is between the fingers, False = open it, None = no change."""
+    """True = close the gripper and hold the object between the fingers, False = open it, None = no change."""
 
 
 def observation_of(
     state: SceneState, robot: str, base_link: str, begin_ns: int, *, joints: Mapping[str, float] | None = None, held: str = ""
 ) -> Observation:
-    """Returns the observation at a scene state.
+    """Returns the observation in a scene state.
 
     Args:
         state: poses and velocities of all links.
         robot: name of the robot.
-        base_link: its base link.
-        begin_ns: stamp at which the episode began.
-        joints: positions of its arm joints.
-        held: name of the body that its gripper holds.
+        base_link: base link of the robot.
+        begin_ns: stamp of the start of the episode.
+        joints: positions of the arm joints, radians or metres.
+        held: name of the body held by the gripper.
     """
     base = f"{robot}/{base_link}"
     row = state.links.index(base)
@@ -172,7 +172,7 @@ def item_body(item: Item) -> BodySpec:
     """Returns the body that physics loads for an item.
 
     Raises:
-        SpawnError: there is no such object.
+        SpawnError: the object does not exist or cannot be loaded.
     """
     body = _model_body(item.model, item.text)
     return BodySpec(item.name, body.model, item.pose, body.static, body.semantic_class, body.joints)

@@ -1,4 +1,4 @@
-"""Places furniture against walls, with free floor for a robot in front, and objects on it. Pure."""
+"""Places furniture against walls, with free floor in front for a robot, and objects on furniture. Pure."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from gibson_sim.types import Pose, Vec3
 
 F64 = NDArray[np.float64]
 STAND = 0.80
-"""Distance from the front edge of furniture to where a robot stands and readies its arm, metres."""
+"""Distance from the front edge of furniture to the stand, where a robot prepares its arm, metres."""
 ROOM = 0.62
-"""Radius of free floor around that place, metres: a robot's arm reaches so far out while it turns."""
+"""Radius of free floor around the stand, metres: the reach of a robot's arm while it rotates."""
 REACHING = 0.47
-"""Distance that the robot then drives on, at most, metres."""
+"""Largest distance that the robot drives forward from the stand, metres."""
 _BEHIND = 0.05
 """Gap between furniture and wall, metres."""
 _LONGEST = 8.0
-"""Distance within which a wall is searched for, metres."""
+"""Search range for walls, metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,33 +42,33 @@ class Furniture:
 
     item: Item
     stand: tuple[float, float]
-    """World x, y from which a robot reaches for it, metres."""
+    """World x, y of the robot's base before it reaches for the furniture, metres."""
     yaw: float
-    """Heading of a robot that faces it, radians."""
+    """Heading of a robot that faces the furniture, radians."""
 
     def outline(self, beside: float = 0.0) -> F64:
-        """Returns the corners (4, 2) of its outline, world frame, metres, widened by ``beside`` metres on either side."""
+        """Returns the corners (4, 2) of the footprint, world frame, metres, widened by ``beside`` metres on either side."""
         low, high = extent(self.item.model)
         corners = [(low[0], low[1] - beside), (high[0], low[1] - beside), (high[0], high[1] + beside), (low[0], high[1] + beside)]
         return np.array([self.point(x, y, 0.0)[:2] for x, y in corners])
 
     def point(self, x: float, y: float, z: float) -> Vec3:
-        """Returns a point of its own frame in the world frame, metres."""
+        """Transforms a point from the frame of the furniture to the world frame, metres."""
         px, py, pz, _ = (matrix_from_pose(self.item.pose) @ (x, y, z, 1.0)).tolist()
         return px, py, pz
 
 
 @lru_cache(maxsize=256)
 def extent(model: str) -> tuple[Vec3, Vec3]:
-    """Returns the lower and the upper corner of the bounding box of an object's collision shapes, root frame, metres."""
+    """Returns the minimum and maximum corner of the bounding box of an object's collision shapes, root frame, metres."""
     body = item_body(Item("extent", model, Pose()))
     points, _ = body_triangles(SceneSpec("extent", body.model.path.parent, "", (), (), bodies=(body,)))
     (ax, ay, az), (bx, by, bz) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return (ax, ay, az), (bx, by, bz)
 
 
-def middle(item: Item, obs: Observation) -> Vec3:
-    """Returns the present position of the centre of an item's bounding box, world frame, metres."""
+def item_centre(item: Item, obs: Observation) -> Vec3:
+    """Returns the current position of the centre of an item's bounding box, world frame, metres."""
     low, high = extent(item.model)
     centre = [(a + b) / 2.0 for a, b in zip(low, high, strict=True)]
     x, y, z, _ = (matrix_from_pose(obs.links[item_root(item)]) @ (*centre, 1.0)).tolist()
@@ -81,7 +81,7 @@ def height(model: str) -> float:
     return high[2] - low[2]
 
 
-def against_a_wall(
+def place_against_wall(
     ground: Ground,
     rng: np.random.Generator,
     name: str,
@@ -91,79 +91,79 @@ def against_a_wall(
     beside: float = 0.05,
     behind: float = 0.0,
 ) -> Furniture | None:
-    """Returns furniture at a random place with its back to a wall or another static obstacle; None = there is no room.
+    """Places furniture at random with its back to a wall or another static obstacle; None = no room.
 
     Args:
         ground: the floor and the robot.
         rng: random generator.
-        name: of the item.
+        name: name of the item.
         model: object whose front is at +x.
-        others: furniture that is already placed.
-        beside: free space to its left and right, metres.
-        behind: distance that a robot may back up from its place in front, metres.
+        others: furniture already placed.
+        beside: free space on its left and right, metres.
+        behind: free distance behind the stand, for backing up, metres.
     """
     floor = ground.floor_with([other.outline() for other in others]) if others else ground.floor
     try:
-        drawn = random_free_poses(floor, TRIES, rng, clearance=ground.reach)
+        poses = random_free_poses(floor, TRIES, rng, clearance=ground.reach)
     except SceneError:
         return None
     low, _ = extent(model)
-    for pose, quarter in zip(drawn, rng.integers(4, size=TRIES).tolist(), strict=True):
+    for pose, quarter in zip(poses, rng.integers(4, size=TRIES).tolist(), strict=True):
         yaw = math.remainder(quarter * math.pi / 2.0, 2.0 * math.pi)
         ahead = np.array([math.cos(yaw), math.sin(yaw)])
         wall = _free_ahead(floor, pose_xy(pose), ahead)
         if wall >= _LONGEST:
             continue
         x, y = (np.array(pose_xy(pose)) + ahead * (wall - _BEHIND + low[0])).tolist()
-        found = standing(Item(name, model, on_floor(ground, x, y, yaw + math.pi)))
-        if not _fits(floor, found, beside, behind, ground.reach):
+        candidate = furniture_of(Item(name, model, on_floor(ground, x, y, yaw + math.pi)))
+        if not _fits(floor, candidate, beside, behind, ground.reach):
             continue
-        every = (*others, found)
-        full = ground.floor_with([one.outline() for one in every])
-        if all(float(full.clearance(one.stand)) >= ROOM for one in every):
-            return found
+        furniture = (*others, candidate)
+        furnished = ground.floor_with([piece.outline() for piece in furniture])
+        if all(float(furnished.clearance(piece.stand)) >= ROOM for piece in furniture):
+            return candidate
     return None
 
 
-def start_before(ground: Ground, rng: np.random.Generator, furniture: Sequence[Furniture]) -> Pose | None:
-    """Returns a random pose of the robot, T_world_base, from which it can reach all furniture; None = none was found."""
-    outlines = [one.outline() for one in furniture]
+def start_for(ground: Ground, rng: np.random.Generator, furniture: Sequence[Furniture]) -> Pose | None:
+    """Samples a start pose of the robot, T_world_base, from which it can reach all stands; None = none was found."""
+    outlines = [piece.outline() for piece in furniture]
     for _ in range(TRIES):
         start = free_place(ground, rng)
-        if all(ground.connected(pose_xy(start), one.stand, outlines) for one in furniture):
+        if all(ground.connected(pose_xy(start), piece.stand, outlines) for piece in furniture):
             return start
     return None
 
 
-def standing(item: Item) -> Furniture:
-    """Returns the furniture that an item is."""
+def furniture_of(item: Item) -> Furniture:
+    """Returns an item as furniture, with its stand."""
     yaw = math.remainder(yaw_from_quat(item.pose.quat_xyzw) + math.pi, 2.0 * math.pi)
-    away = STAND + extent(item.model)[1][0]
+    distance = STAND + extent(item.model)[1][0]
     x, y = pose_xy(item.pose)
-    return Furniture(item, (x - away * math.cos(yaw), y - away * math.sin(yaw)), yaw)
+    return Furniture(item, (x - distance * math.cos(yaw), y - distance * math.sin(yaw)), yaw)
 
 
-def lying(name: str, model: str, place: Vec3, yaw: float) -> Item:
-    """Returns an item that stands on a point of the world frame, metres."""
+def item_on_point(name: str, model: str, point: Vec3, yaw: float) -> Item:
+    """Returns an item that stands on a point, world frame, metres."""
     low, _ = extent(model)
-    return Item(name, model, pose_from_xyz_rpy((place[0], place[1], place[2] - low[2]), (0.0, 0.0, yaw)))
+    return Item(name, model, pose_from_xyz_rpy((point[0], point[1], point[2] - low[2]), (0.0, 0.0, yaw)))
 
 
 def _free_ahead(floor: FloorMap, xy: tuple[float, float], ahead: F64) -> float:
-    """Returns the length of free floor in a direction (2,), metres."""
-    away = np.arange(0.0, _LONGEST, floor.resolution / 2.0)
-    blocked = floor.clearance(np.array(xy) + away[:, None] * ahead) <= 0.0
-    return float(away[int(blocked.argmax())]) if blocked.any() else _LONGEST
+    """Returns the distance to the next obstacle in a direction (2,), metres."""
+    distances = np.arange(0.0, _LONGEST, floor.resolution / 2.0)
+    blocked = floor.clearance(np.array(xy) + distances[:, None] * ahead) <= 0.0
+    return float(distances[int(blocked.argmax())]) if blocked.any() else _LONGEST
 
 
-def _fits(floor: FloorMap, one: Furniture, beside: float, behind: float, reach: float) -> bool:
+def _fits(floor: FloorMap, furniture: Furniture, beside: float, behind: float, reach: float) -> bool:
     """Returns whether furniture stands on free floor and a robot has room to approach it and back up."""
-    ahead = np.array([math.cos(one.yaw), math.sin(one.yaw)])
-    stand = np.array(one.stand)
+    ahead = np.array([math.cos(furniture.yaw), math.sin(furniture.yaw)])
+    stand = np.array(furniture.stand)
     if (
         float(floor.clearance(stand)) < ROOM
         or (floor.clearance([stand + REACHING * ahead, stand - behind * ahead]) < reach).any()
     ):
         return False
-    covered = Grid(floor.resolution, floor.origin, floor.shape).cover(one.outline(beside)[None])
+    covered = Grid(floor.resolution, floor.origin, floor.shape).cover(furniture.outline(beside)[None])
     return not bool((covered & ~floor.free).any())

@@ -1,4 +1,4 @@
-"""The floor of a task: where a robot can be, its paths, and what its camera sees. Pure and deterministic."""
+"""The floor of a task: reachable positions, paths, and the visibility of points. Pure and deterministic."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ F64 = NDArray[np.float64]
 MARGIN = 0.04
 """Clearance of planned paths beyond the robot's radius, metres."""
 SIGHT = 5.0
-"""Distance up to which something counts as seen, metres."""
+"""Distance up to which an object counts as seen, metres."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class Ground:
     """A scene without the items of a task, a robot, and the map of the lowest floor."""
 
     scene: SceneSpec
-    """Without robots."""
+    """The scene, without robots."""
     robot: RobotSpec
     floor: FloorMap
 
     @cached_property
     def planner(self) -> PathPlanner:
-        """Plans paths between static obstacles."""
+        """Planner of paths around static obstacles."""
         return PathPlanner(self.floor, self.reach)
 
     @cached_property
@@ -55,14 +55,14 @@ class Ground:
 
     @property
     def reach(self) -> float:
-        """Distance that paths keep from obstacles, metres."""
+        """Minimum distance of paths from obstacles, metres."""
         return self.robot.radius + MARGIN
 
     @property
     def half_view(self) -> float:
         """Half the horizontal field of view of the robot's first camera, radians."""
         if not self.robot.cameras:
-            raise ConfigError(f"robot {self.robot.name!r} has no camera; this task needs one that sees")
+            raise ConfigError(f"robot {self.robot.name!r} has no camera; this task needs a robot with a camera")
         camera = self.robot.cameras[0]
         return math.atan(math.tan(camera.fov_y / 2.0) * camera.width / camera.height)
 
@@ -72,16 +72,16 @@ class Ground:
         return PathPlanner(self.floor_with(polygons), self.reach) if polygons else self.planner
 
     def connected(self, start: tuple[float, float], goal: tuple[float, float], footprints: Iterable[F64]) -> bool:
-        """Returns whether a path around footprints leads from one place to another; quicker than planning it."""
+        """Returns whether a path around footprints connects two positions; faster than planning the path."""
         labels = self.parts(list(footprints))
-        a, b = (int(labels[tuple(self.floor.cells(place))]) for place in (start, goal))
+        a, b = (int(labels[tuple(self.floor.cells(position))]) for position in (start, goal))
         return a == b != 0
 
     def parts(self, footprints: Sequence[F64]) -> NDArray[np.int32]:
-        """Returns (H, W): labels of the connected regions in which the robot can move; 0 = it cannot be there.
+        """Returns labels, (H, W), of the connected regions in which the robot can move; 0 = not free.
 
         Args:
-            footprints: corners (4, 2) of what stands on the floor, world frame, metres; at least one.
+            footprints: corners (4, 2) of objects on the floor, world frame, metres; at least one.
         """
         floor = self.floor_with(footprints)
         labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
@@ -93,7 +93,7 @@ class Ground:
         return replace(self.floor, occupied=self.floor.occupied | grid.cover(np.asarray(footprints, dtype=np.float64)))
 
     def sees(self, base: Pose, points: ArrayLike, reach: float = SIGHT) -> Bools:
-        """Returns (N,): which points (N, 2), world frame, metres, are in the field of view, in range and behind no static obstacle."""
+        """Returns a mask, (N,), of the points (N, 2), world frame, metres, in the field of view, in range and not occluded by static obstacles."""
         x, y = base.position[:2]
         targets = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         offsets = targets - (x, y)
@@ -105,7 +105,7 @@ class Ground:
         return out
 
     def _clear(self, eye: F64, targets: F64) -> Bools:
-        """Returns (N,): whether the line of sight from a point (2,) to each target (N, 2) is free of static obstacles."""
+        """Returns a mask, (N,), of the targets (N, 2) with a line of sight from a point (2,) that is free of static obstacles."""
         if not len(targets):
             return np.zeros(0, dtype=bool)
         longest = float(np.linalg.norm(targets - eye, axis=1).max())
@@ -120,12 +120,12 @@ def ground_of(scene: str, robot: str) -> Ground:
     """Returns the ground of a scene for a robot, both by name or path; cached.
 
     Raises:
-        GibsonSimError: one of them cannot be loaded.
+        GibsonSimError: the scene or the robot cannot be loaded.
     """
     loaded = load_scene(scene)
     spec = load_robot(robot)
     if spec.drive is None:
-        raise ConfigError(f"robot {robot!r} has no drive; tasks need one that moves")
+        raise ConfigError(f"robot {robot!r} has no drive; tasks need a robot with a drive")
     floor = robot_floor_map(loaded, spec)
     if not floor.free.any():
         raise SceneError(f"scene {scene!r}: has no free floor for a task")
@@ -145,7 +145,7 @@ def _outline(model: str) -> F64:
 def footprint(model: str, pose: Pose) -> F64:
     """Returns the corners (4, 2) of an object's footprint at T_world_root, world frame, metres, counter-clockwise.
 
-    Tilt is ignored: an object that fell over keeps the footprint that it had upright.
+    Tilt is ignored: an object that has fallen over keeps its upright footprint.
     """
     corners = _outline(model)
     rotation = matrix_from_quat(pose.quat_xyzw)[:2, :2]

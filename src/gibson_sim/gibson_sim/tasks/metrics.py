@@ -1,4 +1,4 @@
-"""Metrics of one episode and of many. Pure: observations and contacts go in, numbers come out."""
+"""Metrics of one episode and of many, computed from observations and contacts. Pure."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from gibson_sim.tasks.episode import Episode, Observation, item_root
 from gibson_sim.types import Contact
 
 PUSHED = 0.05
-"""Displacement up to which an item counts as untouched, metres."""
+"""Displacement up to which an item counts as not pushed, metres."""
 _LEVEL = 0.7
-"""z of a contact's unit normal from which on the contact is with a floor or a load, not a collision."""
+"""Minimum absolute z of the unit normal of contacts with floors and payloads, which are not collisions."""
 _LEAST_FORCE = 1e-3
-"""Force below which a touch counts for nothing, N."""
+"""Minimum force of a touch, N."""
 _Z95 = 1.959964
-"""Standard deviations of a normal distribution within which 95 % lie."""
+"""Half width of the 95 % interval of a standard normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
 class Metrics:
-    """Metrics of an episode up to now."""
+    """Metrics of an episode so far."""
 
     success: bool
     time: float
-    """Seconds of simulation time."""
+    """Duration, seconds of simulation time."""
     path_length: float
     """Length of the path of the base, metres."""
     spl: float
     """Success weighted by path length (Anderson et al. 2018): shortest / max(shortest, path_length), 0 without success; NaN = the task
     has no shortest path."""
     collisions: int
-    """How often the robot began to touch a static obstacle, the floor excluded."""
+    """Number of times the robot began to touch a static obstacle other than the floor."""
     pushed: int
-    """Items that were displaced, the target excluded."""
+    """Number of displaced items, without the target."""
     pushed_distance: float
-    """Sum of their displacements, metres."""
+    """Sum of the displacements of pushed items, metres."""
     goal_distance: float
-    """Remaining distance to the goal in the task's unit: metres, or radians of a joint."""
+    """Remaining distance to the goal, in the unit of the task: metres, or radians of a joint."""
 
 
 class Meter:
@@ -47,7 +47,7 @@ class Meter:
 
     Args:
         episode: the episode.
-        begin: its first observation.
+        begin: first observation of the episode.
     """
 
     def __init__(self, episode: Episode, begin: Observation) -> None:
@@ -59,7 +59,7 @@ class Meter:
         self._collisions, self._path_length = 0, 0.0
 
     def update(self, obs: Observation, touched: Collection[str]) -> None:
-        """Adds an observation, with the names of the static obstacles that the robot touches."""
+        """Adds an observation and the names of the static obstacles that the robot touches."""
         self._path_length += math.dist(obs.xy, self._last_xy)
         self._last_xy = obs.xy
         self._collisions += len(frozenset(touched) - self._touched)
@@ -89,25 +89,25 @@ class Meter:
 
 
 def touched_by(robot: str, contacts: Sequence[Contact], moving: Collection[str]) -> frozenset[str]:
-    """Returns the names of the static obstacles that a robot touches from the side.
+    """Returns the names of the static obstacles in lateral contact with a robot.
 
     Args:
         robot: name of the robot.
-        contacts: a static obstacle is always ``body_b``.
+        contacts: contacts in which a static obstacle is always ``body_b``.
         moving: names of robots and bodies.
     """
-    ours = (c for c in contacts if c.body_a == robot and c.body_b not in moving)
-    return frozenset(c.body_b for c in ours if abs(c.normal[2]) < _LEVEL and c.force > 0.0)
+    with_obstacles = (c for c in contacts if c.body_a == robot and c.body_b not in moving)
+    return frozenset(c.body_b for c in with_obstacles if abs(c.normal[2]) < _LEVEL and c.force > 0.0)
 
 
 def touch_direction(robot: str, contacts: Sequence[Contact], yaw: float, ignored: Collection[str] = ()) -> tuple[float, float]:
-    """Returns the mean direction, by force, of what touches a robot from the side: unit vector, ahead and to the left; zeros = nothing.
+    """Returns the force-weighted mean direction of lateral contacts of a robot: unit vector, x, y in the base frame; zeros = no contact.
 
     Args:
         robot: name of the robot.
-        contacts: its contacts; the robot is ``body_a``.
-        yaw: its heading, radians.
-        ignored: names of bodies that do not count.
+        contacts: contacts in which the robot is ``body_a``.
+        yaw: heading of the robot, radians.
+        ignored: names of bodies to ignore.
     """
     x = y = 0.0
     for contact in contacts:
@@ -129,15 +129,15 @@ class EpisodeSummary:
     low: float
     """Lower end of the 95 % interval of the success rate (Wilson)."""
     high: float
-    """Its upper end."""
+    """Upper end of the 95 % interval of the success rate (Wilson)."""
     time: float
-    """Median of the successful episodes, seconds; NaN = there is none."""
+    """Median duration of successful episodes, seconds; NaN = no success."""
     spl: float
-    """Mean; NaN = the task has no shortest path."""
+    """Mean SPL; NaN = the task has no shortest path."""
     collisions: float
-    """Mean."""
+    """Mean number of collisions."""
     pushed: float
-    """Mean."""
+    """Mean number of pushed items."""
 
     @property
     def rate(self) -> float:
@@ -145,20 +145,20 @@ class EpisodeSummary:
         return self.successes / self.episodes if self.episodes else math.nan
 
 
-def summary(found: Sequence[Metrics]) -> EpisodeSummary:
+def summary(episodes: Sequence[Metrics]) -> EpisodeSummary:
     """Returns the summary of episodes."""
-    count, successes = len(found), sum(m.success for m in found)
+    count, successes = len(episodes), sum(m.success for m in episodes)
     low, high = wilson(successes, count)
-    times = sorted(m.time for m in found if m.success)
+    times = sorted(m.time for m in episodes if m.success)
     return EpisodeSummary(
         episodes=count,
         successes=successes,
         low=low,
         high=high,
         time=times[len(times) // 2] if times else math.nan,
-        spl=_mean([m.spl for m in found]),
-        collisions=_mean([m.collisions for m in found]),
-        pushed=_mean([m.pushed for m in found]),
+        spl=_mean([m.spl for m in episodes]),
+        collisions=_mean([m.collisions for m in episodes]),
+        pushed=_mean([m.pushed for m in episodes]),
     )
 
 
@@ -178,7 +178,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def episode_line(seed: int, metrics: Metrics) -> str:
-    """Returns one line about an episode."""
+    """Returns a one-line report of an episode."""
     spl = "" if math.isnan(metrics.spl) else f", SPL {metrics.spl:.2f}"
     return (
         f"seed {seed}: {'success' if metrics.success else 'failure'} after {metrics.time:.1f} s, {metrics.path_length:.2f} m{spl}, "
@@ -187,7 +187,7 @@ def episode_line(seed: int, metrics: Metrics) -> str:
 
 
 def summary_line(task: str, baseline: str, total: EpisodeSummary) -> str:
-    """Returns one line about many episodes."""
+    """Returns a one-line report of many episodes."""
     spl = "" if math.isnan(total.spl) else f", mean SPL {total.spl:.2f}"
     time = "" if math.isnan(total.time) else f", median time {total.time:.1f} s"
     return (

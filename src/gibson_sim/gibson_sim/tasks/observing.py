@@ -1,4 +1,4 @@
-"""Observations as arrays of fixed shape and bounds, for learning. Pure except for the ray caster that is passed in."""
+"""Observations as arrays of fixed shape and bounds, for learning. Pure; a callable casts rays."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from gibson_sim.tasks.episode import Episode, Observation, item_root
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Rays = Callable[[F64, F64, float], F64]
-"""(origins (N, 3), directions (N, 3), range in metres) -> metres to the first hit (N,), +inf = none."""
+"""(origins (N, 3), directions (N, 3), range in metres) -> distances to the first hit (N,), metres, +inf = no hit."""
 
 FARTHEST = 20.0
 """Distance at which values are clipped, metres."""
 BEAMS = 32
-"""Beams of the horizontal scan, counter-clockwise from straight ahead."""
+"""Number of beams of the horizontal scan, counter-clockwise from straight ahead."""
 SCAN_RANGE, SCAN_HEIGHT = 5.0, 0.12
 """Range of the scan, and its height above the floor, metres."""
 THINGS = 8
-"""Number of nearest items in an observation."""
+"""Number of items in an observation, the nearest ones."""
 THING_RANGE = 5.0
 """Distance up to which items are included, metres."""
 CLASSES = (
@@ -55,7 +55,7 @@ class ObservationLayout:
     lower: tuple[float, ...]
     """Lower limits of the joints, radians or metres."""
     upper: tuple[float, ...]
-    """Upper limits, likewise."""
+    """Upper limits of the joints, radians or metres."""
 
     def own(self) -> tuple[F32, F32]:
         """Returns the bounds of ``own_state``, (N,) each."""
@@ -79,15 +79,15 @@ class ObservationLayout:
 
 
 def own_state(layout: ObservationLayout, episode: Episode, obs: Observation) -> F32:
-    """Returns goal and proprioception: the goal in the base frame (forward, left, up; 0 if it has to be found), forward speed, yaw rate,
-    one-hot class of the target, positions of the arm joints and whether the gripper holds something, and where the robot is touched.
+    """Returns goal and proprioception: the goal in the base frame (forward, left, up; 0 if unknown), forward speed, yaw rate, one-hot class
+    of the target, positions of the arm joints and whether the gripper holds an object, and the direction of lateral contacts.
     """
     goal = episode.goal
-    there = (0.0, 0.0, 0.0)
+    goal_in_base = (0.0, 0.0, 0.0)
     if goal.position is not None:
-        there = (*obs.in_base(goal.position), goal.position[2] - obs.base.position[2])
+        goal_in_base = (*obs.in_base(goal.position), goal.position[2] - obs.base.position[2])
     one_hot = [float(name == goal.target_class) for name in CLASSES]
-    values = [*there, obs.linear, obs.angular, *one_hot, *(obs.joints[name] for name in layout.joints)]
+    values = [*goal_in_base, obs.linear, obs.angular, *one_hot, *(obs.joints[name] for name in layout.joints)]
     if layout.joints:
         values.append(float(bool(obs.held)))
     values += obs.touch
@@ -95,22 +95,27 @@ def own_state(layout: ObservationLayout, episode: Episode, obs: Observation) -> 
 
 
 def full_state(
-    layout: ObservationLayout, episode: Episode, obs: Observation, classes: Sequence[str], rays: Rays, way: tuple[float, float]
+    layout: ObservationLayout,
+    episode: Episode,
+    obs: Observation,
+    classes: Sequence[str],
+    rays: Rays,
+    direction: tuple[float, float],
 ) -> F32:
-    """Returns ``own_state``, where the shortest path leads (unit vector, forward and left; 0 = there is no path), the scan, and for each of
-    the nearest items: 1, forward, left, up, class number (0 = none, else index + 1).
+    """Returns ``own_state``, the direction of the shortest path (unit vector, forward and left; 0 = no path), the scan, and for each of the
+    nearest items: 1, forward, left, up, class number (0 = none, else index + 1).
 
     Args:
-        layout: of the arrays.
+        layout: layout of the arrays.
         episode: the episode.
         obs: the observation.
         classes: semantic class of each item.
         rays: casts the rays of the scan.
-        way: where the shortest path leads: unit vector, world frame; zeros = there is no path.
+        direction: direction of the shortest path: unit vector, world frame; zeros = no path.
     """
     cos, sin = math.cos(obs.yaw), math.sin(obs.yaw)
-    ahead = np.array([cos * way[0] + sin * way[1], cos * way[1] - sin * way[0]])
-    parts = [own_state(layout, episode, obs), ahead, _scan(obs, rays), _things(episode, obs, classes)]
+    in_base = np.array([cos * direction[0] + sin * direction[1], cos * direction[1] - sin * direction[0]])
+    parts = [own_state(layout, episode, obs), in_base, _scan(obs, rays), _items(episode, obs, classes)]
     return _clipped(np.concatenate(parts), *layout.state())
 
 
@@ -121,14 +126,14 @@ def _scan(obs: Observation, rays: Rays) -> F64:
     return np.minimum(rays(np.tile(origin, (BEAMS, 1)), directions, SCAN_RANGE), SCAN_RANGE)
 
 
-def _things(episode: Episode, obs: Observation, classes: Sequence[str]) -> F64:
+def _items(episode: Episode, obs: Observation, classes: Sequence[str]) -> F64:
     rows: list[tuple[float, list[float]]] = []
     for item, name in zip(episode.items, classes, strict=True):
-        place = obs.links[item_root(item)].position
-        away = obs.distance_to(place)
-        if away <= THING_RANGE:
+        position = obs.links[item_root(item)].position
+        distance = obs.distance_to(position)
+        if distance <= THING_RANGE:
             number = CLASSES.index(name) + 1.0 if name in CLASSES else 0.0
-            rows.append((away, [1.0, *obs.in_base(place), place[2] - obs.base.position[2], number]))
+            rows.append((distance, [1.0, *obs.in_base(position), position[2] - obs.base.position[2], number]))
     out = np.zeros((THINGS, 5))
     for k, (_, row) in enumerate(sorted(rows)[:THINGS]):
         out[k] = row

@@ -1,4 +1,4 @@
-"""Images of a task: from the robot's camera and from above. The renderer is opened with the first image."""
+"""Images of a task: from the robot's camera and in top view. The renderer is created with the first image."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from gibson_sim.tasks.run import TaskRun
 from gibson_sim.types import CameraSpec, Frame, Pose
 
 FARTHEST_DEPTH = 10.0
-"""Depth at which values are clipped, also where nothing is hit, metres."""
+"""Depth at which values are clipped, also for pixels without a surface, metres."""
 _ABOVE, _FIELD = 9.0, math.radians(45.0)
-"""Height above the floor, metres, and field of view, radians, of the camera that looks down."""
+"""Height above the floor, metres, and field of view, radians, of the top view."""
 _CUT = 1.9
-"""Height above which everything, such as ceilings, is clipped in the view from above, metres."""
+"""Height above which geometry, such as ceilings, is clipped in the top view, metres."""
 _DOWN = np.array([[0.0, -1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""T_world_optical of a camera that looks down, with world x towards the top of the image."""
+"""T_world_optical of a downward camera, with world x towards the top of the image."""
 
 
 class TaskCamera:
-    """Draws what the robot of a task sees, and the robot from above. The renderer belongs to the thread that draws first.
+    """Renders the camera images of a task's robot, and a top view. The renderer belongs to the thread that renders first.
 
     Args:
-        run: the task that is drawn.
+        run: the task to render.
         size: width and height of the robot's images, pixels.
 
     Raises:
@@ -44,14 +44,14 @@ class TaskCamera:
         )
 
     def rgbd(self) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Returns RGB, (H, W, 3), and depth, (H, W, 1), metres from 0 to ``FARTHEST_DEPTH``, from the robot's camera now."""
+        """Renders RGB, (H, W, 3), and depth, (H, W, 1), metres from 0 to ``FARTHEST_DEPTH``, from the robot's camera."""
         frame = self._draw(self.camera)
         assert frame.rgb is not None and frame.depth is not None
         depth = np.nan_to_num(frame.depth, nan=FARTHEST_DEPTH, posinf=FARTHEST_DEPTH, neginf=0.0)
         return frame.rgb, np.clip(depth, 0.0, FARTHEST_DEPTH)[..., None]
 
-    def above(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Returns an image, (H, W, 3), from above the robot, without ceilings."""
+    def top_view(self, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """Renders a top view, (H, W, 3), centred at the robot, without ceilings."""
         x, y, z = self._run.observation.base.position
         pose = pose_from_matrix(matrix_from_pose(Pose((x, y, z + _ABOVE))) @ _DOWN)
         camera = CameraSpec(
@@ -61,11 +61,11 @@ class TaskCamera:
         assert frame.rgb is not None
         return frame.rgb
 
-    def both(self, height: int) -> NDArray[np.uint8]:
-        """Returns the robot's camera image beside one from above, each a square: (height, 2 height, 3)."""
-        own = self._draw(replace(self.camera, width=height, height=height, outputs=("rgb",), samples=4))
-        assert own.rgb is not None
-        return np.concatenate([own.rgb, self.above((height, height))], axis=1)
+    def camera_and_top_view(self, height: int) -> NDArray[np.uint8]:
+        """Renders the robot's camera image beside a top view, both square: (height, 2 height, 3)."""
+        frame = self._draw(replace(self.camera, width=height, height=height, outputs=("rgb",), samples=4))
+        assert frame.rgb is not None
+        return np.concatenate([frame.rgb, self.top_view((height, height))], axis=1)
 
     def _draw(self, camera: CameraSpec) -> Frame:
         # Not `Simulation.render`: observations have no depth noise.

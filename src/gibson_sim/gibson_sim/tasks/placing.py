@@ -1,4 +1,4 @@
-"""Random collision-free places for robots and items on the floor. Pure."""
+"""Samples collision-free poses of robots and items on the floor. Pure."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from gibson_sim.types import Pose
 
 F64 = NDArray[np.float64]
 TRIES = 60
-"""Attempts to find a place before a scene counts as too small."""
+"""Number of attempts to find a pose before a scene counts as too small."""
 START_CLEARANCE = 0.08
 """Free space around the start beyond the robot's radius, metres."""
 
 
 def free_place(ground: Ground, rng: np.random.Generator, region: NDArray[np.bool_] | None = None) -> Pose:
-    """Returns a random pose of the robot, T_world_base, in the largest region that it can reach, or in ``region`` (H, W).
+    """Samples a pose of the robot, T_world_base, in the largest reachable region, or in ``region`` (H, W).
 
     Raises:
-        SceneError: there is none.
+        SceneError: there is no free pose.
     """
     clearance = ground.reach + START_CLEARANCE
     return random_free_poses(ground.floor, 1, rng, clearance=clearance, region=region)[0]
 
 
 def at_distance(ground: Ground, rng: np.random.Generator, start: Pose, low: float, high: float) -> tuple[Pose, float]:
-    """Returns a random pose whose path from ``start`` is ``low`` to ``high`` metres long, and the length of that path.
+    """Samples a pose whose path from ``start`` is ``low`` to ``high`` metres long; returns it with the length of the path, metres.
 
     Raises:
-        SceneError: there is none.
+        SceneError: there is no such pose.
     """
     distances = ground.planner.distances(start.position[:2])
     region = np.asarray((distances >= low) & (distances <= high))
@@ -46,7 +46,7 @@ def at_distance(ground: Ground, rng: np.random.Generator, start: Pose, low: floa
 
 
 def on_floor(ground: Ground, x: float, y: float, yaw: float) -> Pose:
-    """Returns a pose on the floor, T_world_root."""
+    """Returns a pose on the floor, T_world_root; x and y in metres, yaw in radians."""
     return pose_from_xyz_rpy((x, y, ground.floor.floor_z), (0.0, 0.0, yaw))
 
 
@@ -61,17 +61,17 @@ def clutter(
     beside: float = 0.35,
     prefix: str = "clutter",
 ) -> tuple[Item, ...]:
-    """Returns items that lie on a path and beside it; fewer than ``count`` if there is no room.
+    """Places random items on and beside a path; fewer than ``count`` if there is no room.
 
     Args:
         ground: the floor and the robot.
         rng: random generator.
-        path: corners (K, 2), world frame, metres.
+        path: waypoints (K, 2), world frame, metres.
         models: objects to choose from.
         count: number of items.
-        keep_clear: places (x, y) and radii, metres, that stay free.
-        beside: greatest distance from the path along each axis, metres.
-        prefix: of the names.
+        keep_clear: centres (x, y) and radii, metres, of areas that stay free.
+        beside: largest distance from the path along each axis, metres.
+        prefix: prefix of the names.
     """
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -80,13 +80,13 @@ def clutter(
     for _ in range(TRIES):
         if len(items) == count:
             break
-        at = rng.uniform(0.0, arc[-1])
-        x, y = (float(np.interp(at, arc, path[:, k])) for k in range(2))
+        distance = rng.uniform(0.0, arc[-1])
+        x, y = (float(np.interp(distance, arc, path[:, k])) for k in range(2))
         x, y = (float(c) for c in np.array([x, y]) + rng.uniform(-beside, beside, 2))
         model = models[int(rng.integers(len(models)))]
         yaw = float(rng.uniform(-math.pi, math.pi))
         if float(ground.floor.clearance((x, y))) < _RADIUS or any(
-            math.dist((x, y), place) < radius + _RADIUS for place, radius in occupied
+            math.dist((x, y), centre) < radius + _RADIUS for centre, radius in occupied
         ):
             continue
         occupied.append(((x, y), _RADIUS))
@@ -95,7 +95,7 @@ def clutter(
 
 
 _RADIUS = 0.26
-"""Radius of the largest object of a clutter, metres."""
+"""Radius of the largest clutter object, metres."""
 
 
 def no_room(task: str, ground: Ground, what: str) -> SceneError:

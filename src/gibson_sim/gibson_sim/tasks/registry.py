@@ -21,7 +21,7 @@ def task_of(name: str) -> Task:
     """Returns a task by its name.
 
     Raises:
-        ConfigError: there is no such task.
+        ConfigError: the task does not exist.
     """
     if name not in TASKS:
         raise ConfigError(f"task {name!r} is unknown; known: {', '.join(TASKS)}")
@@ -32,7 +32,7 @@ def check_baseline(task: Task, baseline: str) -> None:
     """Checks that a task has a baseline.
 
     Raises:
-        ConfigError: it has no baseline of this name.
+        ConfigError: the task has no baseline of this name.
     """
     if baseline not in task.baselines:
         raise ConfigError(f"task {task.name}: baseline {baseline!r} is unknown; known: {', '.join(task.baselines)}")

@@ -19,22 +19,22 @@ from gibson_sim.types import VelocityCommand
 STEP_HZ, CONTROL_HZ = 240, 10
 """Physics steps, and actions, per second of simulation time."""
 SETTLE_S = 0.3
-"""Simulation time before the first observation, in which bodies come to rest, seconds."""
+"""Simulation time before the first observation, for bodies to come to rest, seconds."""
 
 
 class TaskRun:
-    """Runs episodes of one task. Equal seeds and equal actions give bit-equal observations. Close it, or use it in a ``with`` statement.
+    """Runs episodes of one task. Equal seeds and actions give bit-identical observations. Close it, or use it in a ``with`` statement.
 
     Args:
         task: the task.
-        scene: name or path; empty = the task's own.
-        robot: name or path; empty = the task's own.
+        scene: name or path of the scene; empty = the task's default.
+        robot: name or path of the robot; empty = the task's default.
         step_hz: physics steps per second.
         control_hz: actions per second; must divide ``step_hz``.
-        device: EGL device that draws, as ``Simulation`` takes it.
+        device: EGL device for rendering, see ``Simulation``.
 
     Raises:
-        GibsonSimError: scene or robot cannot be used.
+        GibsonSimError: the scene or the robot cannot be loaded.
     """
 
     def __init__(
@@ -54,28 +54,29 @@ class TaskRun:
         self._substeps = step_hz // control_hz
         self.robot = self.ground.robot
         self.simulation = Simulation(self.ground.scene, None, step_hz=step_hz, cmd_vel_timeout=1.0, device=device)
-        """Physics, and the renderer of ``TaskCamera``. ``reset`` here repopulates ``world``; do not call ``simulation.reset``."""
+        """Physics, and the renderer of ``TaskCamera``. Do not call ``simulation.reset``: ``TaskRun.reset`` repopulates ``world``."""
         self.world = self.simulation.world
         self._episode: Episode | None = None
         self._begin_ns = 0
 
     @property
     def episode(self) -> Episode:
-        """The present episode."""
+        """Current episode."""
         if self._episode is None:
             raise ConfigError("no episode has begun; call reset(seed) first")
         return self._episode
 
     def reset(self, seed: int) -> Observation:
-        """Begins the episode of a seed, and returns its first observation.
+        """Begins the episode of a seed and returns its first observation.
 
         Raises:
             SceneError: the scene has no room for the task.
         """
         episode = self.task.generate(seed, self.ground)
         world = self.world
-        own = (body for body in self.ground.scene.bodies if body.name not in episode.removed)
-        world.repopulate([replace(self.robot, start=episode.start)], [*own, *(item_body(item) for item in episode.items)])
+        scene_bodies = (body for body in self.ground.scene.bodies if body.name not in episode.removed)
+        items = (item_body(item) for item in episode.items)
+        world.repopulate([replace(self.robot, start=episode.start)], [*scene_bodies, *items])
         world.set_step_count(0)
         world.step(round(SETTLE_S * world.step_hz))
         self._episode, self._begin_ns = episode, world.stamp_ns
@@ -87,7 +88,7 @@ class TaskRun:
         return self.observation
 
     def step(self, action: Action) -> Observation:
-        """Applies an action for one control period, and returns the observation after it; ``succeeded`` and ``over`` are then current."""
+        """Applies an action for one control period, returns the next observation, and updates ``succeeded`` and ``over``."""
         episode, world, name = self.episode, self.world, self.robot.name
         world.command(name, VelocityCommand((action.linear, 0.0, 0.0), (0.0, 0.0, action.angular), world.stamp_ns))
         joints = {**action.joints, **finger_joints(self.robot, action.grasp)}
@@ -107,12 +108,12 @@ class TaskRun:
 
     @property
     def touching(self) -> bool:
-        """Whether the robot touches a static obstacle, the floor excluded."""
+        """Whether the robot touches a static obstacle other than the floor."""
         return self._meter.touching
 
     @property
     def metrics(self) -> Metrics:
-        """Metrics of the episode up to now."""
+        """Metrics of the episode so far."""
         return self._meter.metrics(self.observation, success=self.succeeded, goal_distance=self.remaining)
 
     def _observe(self) -> Observation:
@@ -137,11 +138,11 @@ class TaskRun:
 
 
 def run_episode(run: TaskRun, seed: int, baseline: str, watch: Callable[[Observation], None] | None = None) -> Metrics:
-    """Runs the episode of a seed with a baseline, and returns its metrics.
+    """Runs the episode of a seed with a baseline and returns its metrics.
 
     Args:
         run: the task.
-        seed: of the episode.
+        seed: seed of the episode.
         baseline: one of the task's baselines.
         watch: called with every observation.
 

@@ -1,4 +1,4 @@
-"""The interface of tasks and policies. Pure: a seed and a ground give an episode; an observation gives success and remaining distance."""
+"""The interface of tasks and policies. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gibson_sim.tasks.episode import Action, Episode, Observation
 from gibson_sim.tasks.ground import Ground
 
 BASELINES = ("scripted", "random", "none")
-"""Policies that need no training; ``none`` stands still."""
+"""Policies that need no training; ``none`` does not move."""
 
 
 class Policy(Protocol):
@@ -22,7 +22,7 @@ class Policy(Protocol):
 
 
 class Task(ABC):
-    """A kind of task: generates episodes and judges them."""
+    """A kind of task: generates episodes and evaluates them."""
 
     name: ClassVar[str]
     """Name on the command line, words joined by ``-``."""
@@ -36,23 +36,23 @@ class Task(ABC):
     """Default robot."""
     baselines: ClassVar[tuple[str, ...]] = BASELINES
     rewards_by_path: ClassVar[bool] = False
-    """Rewards derive from the length of the shortest path to the goal's position, not from ``remaining``: for tasks that only drive there."""
+    """Whether rewards derive from the length of the shortest path to the goal's position instead of ``remaining``: for driving tasks."""
 
     @abstractmethod
     def generate(self, seed: int, ground: Ground) -> Episode:
         """Returns the episode of a seed.
 
         Raises:
-            SceneError: the scene has no room for it.
+            SceneError: the scene has no room for the task.
         """
 
     def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
-        """Returns the remaining distance to the goal, 0 = reached: metres to its position unless a task overrides it."""
+        """Returns the remaining distance to the goal, 0 = reached; by default the distance to its position, metres."""
         assert episode.goal.position is not None
         return obs.distance_to(episode.goal.position)
 
     def succeeded(self, episode: Episode, obs: Observation, ground: Ground) -> bool:
-        """Returns whether the goal is reached: the base is within its radius, unless a task overrides it."""
+        """Returns whether the goal is reached; by default whether the base is within the goal's radius."""
         assert episode.goal.position is not None
         return obs.distance_to(episode.goal.position) <= episode.goal.radius
 
@@ -73,7 +73,7 @@ def generator(task: Task, seed: int, part: int = 0) -> np.random.Generator:
 
 
 class RandomDrivePolicy:
-    """Draws a random velocity every 0.5 to 2 s; the arm holds still."""
+    """Samples a random velocity every 0.5 to 2 s; the arm does not move."""
 
     def __init__(self, ground: Ground, rng: np.random.Generator) -> None:
         drive = ground.robot.drive
@@ -82,7 +82,7 @@ class RandomDrivePolicy:
         self._until, self._action = 0.0, Action()
 
     def act(self, obs: Observation) -> Action:
-        """Returns the present action."""
+        """Returns the current action."""
         if obs.time >= self._until:
             linear, angular = self._rng.uniform((-0.3, -0.7), (1.0, 0.7))
             self._action = Action(linear * self._max_speeds[0], angular * self._max_speeds[1])

@@ -1,5 +1,5 @@
-"""Episodes as units of work for ``jobs``: a worker process keeps its ``TaskRun`` from one episode to the next, which
-begins with an empty engine: no episode depends on those before it.
+"""Episodes as units of work for ``jobs``. A worker process keeps its ``TaskRun``, but each episode resets the engine, so that no episode depends
+on earlier ones.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
 
 EPISODE = "gibson_sim.tasks.units:run_one"
 PICTURE = "end.png"
-"""File of the unit with the end of the episode."""
+"""File of the unit with a picture of the end of the episode."""
 _KEPT: dict[tuple[str, str, str], TaskRun] = {}
-"""Task, scene and robot -> the run of this process, at most one."""
+"""(task, scene, robot) -> the run of this process, at most one."""
 
 
 def run_one(arguments: dict[str, Any], folder: Path, context: Context) -> dict[str, Any]:
-    """Runs one episode with a baseline; returns its ``Metrics`` as values of JSON.
+    """Runs one episode with a baseline; returns its ``Metrics`` as JSON values.
 
     Args:
-        arguments: ``task``, ``scene``, ``robot``, ``baseline``, ``seed``, ``files`` (those of them that are files of the unit), ``picture``.
-        folder: for the picture.
-        context: of the unit.
+        arguments: ``task``, ``scene``, ``robot``, ``baseline``, ``seed``, ``picture``, and ``files``: arguments that are files of the unit.
+        folder: folder for the picture.
+        context: context of the unit.
     """
     scene, robot = (
         str(context.path(arguments[name])) if name in arguments["files"] else arguments[name] for name in ("scene", "robot")
@@ -45,8 +45,8 @@ def run_one(arguments: dict[str, Any], folder: Path, context: Context) -> dict[s
 
 
 def picture_of(run: TaskRun, path: Path) -> None:
-    """Draws the present state of a run into a file: the robot's camera image beside one from above."""
+    """Renders the current state of a run to a file: the robot's camera image beside a top view."""
     from gibson_sim.picture_files import write_picture
     from gibson_sim.tasks.pictures import TaskCamera
 
-    write_picture(path, TaskCamera(run, (480, 480)).both(480)[..., ::-1])
+    write_picture(path, TaskCamera(run, (480, 480)).camera_and_top_view(480)[..., ::-1])

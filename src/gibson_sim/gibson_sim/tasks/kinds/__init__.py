@@ -1,1 +1,1 @@
-"""The tasks, one module each; ``gibson_sim.tasks.registry`` has them by name."""
+"""The tasks, one module each; ``gibson_sim.tasks.registry`` lists them by name."""

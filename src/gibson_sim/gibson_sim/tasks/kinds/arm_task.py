@@ -1,4 +1,4 @@
-"""What tasks for a robot with an arm share: scene, robot and random baseline. Pure."""
+"""Common base of tasks for a robot with an arm: scene, robot and random baseline. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.tasks.task import Policy, RandomDrivePolicy, Task, generator
 from gibson_sim.types import Vec3
 
 _SECONDS = (0.5, 2.0)
-"""Shortest and longest time between random commands, seconds."""
+"""Minimum and maximum time between random commands, seconds."""
 
 
 class ArmTask(Task):
@@ -30,7 +30,7 @@ class ArmTask(Task):
 
 
 class RandomArmPolicy:
-    """Drives as ``RandomDrivePolicy``; draws random targets for the joints and the gripper of the first arm every 0.5 to 2 s."""
+    """Drives like ``RandomDrivePolicy``; samples random targets for the joints and the gripper of the first arm every 0.5 to 2 s."""
 
     def __init__(self, ground: Ground, rng: np.random.Generator) -> None:
         self._drives, self._rng, self._until = RandomDrivePolicy(ground, rng), rng, 0.0
@@ -43,7 +43,7 @@ class RandomArmPolicy:
         self._grasp = False
 
     def act(self, obs: Observation) -> Action:
-        """Returns the present action."""
+        """Returns the current action."""
         if obs.time >= self._until:
             self._joints = {name: float(self._rng.uniform(*limits)) for name, limits in self._limits.items()}
             self._grasp = bool(self._rng.integers(2))

@@ -1,4 +1,4 @@
-"""Find an object of a class: be near it with it in view."""
+"""Find an object of a class: approach it with the object in view."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ MODELS = (
 DISTRACTORS = 5
 """Number of objects of other classes."""
 HIDDEN = 2.0
-"""Least length of the path from the start to the object, metres."""
+"""Minimum length of the path from the start to the object, metres."""
 _SPACE = 0.35
-"""Distance from the centre of an object to walls and furniture, metres."""
+"""Minimum distance from the centre of an object to walls and furniture, metres."""
 
 
 class ObjectSearch(Task):
-    """Objects of several classes lie on the floor; one of them is of the target class, and its position is unknown."""
+    """Objects of several classes stand on the floor; one of them has the target class, and its position is unknown."""
 
     name = "object-search"
     environment = "ObjectSearch"
@@ -41,22 +41,22 @@ class ObjectSearch(Task):
         """Returns the episode of a seed; see ``Task.generate``."""
         rng = generator(self, seed)
         start = free_place(ground, rng)
-        away = ground.planner.distances(pose_xy(start))
+        distances = ground.planner.distances(pose_xy(start))
         models = _distinct_classes(rng)
         for _ in range(TRIES):
-            items = _spread(ground, rng, models, np.asarray(np.isfinite(away)))
+            items = _scatter(ground, rng, models, np.asarray(np.isfinite(distances)))
             if len(items) < len(models):
                 continue
             target = items[0]
             xy = pose_xy(target.pose)
             row, column = ground.floor.cells(xy)
-            way = float(away[row, column])
-            if way >= HIDDEN and math.isfinite(way) and not ground.sees(start, [xy])[0]:
+            distance = float(distances[row, column])
+            if distance >= HIDDEN and math.isfinite(distance) and not ground.sees(start, [xy])[0]:
                 name = item_body(target).semantic_class
                 article = "an" if name[0] in "aeiou" else "a"
                 goal = Goal(f"Find {article} {name.replace('_', ' ')}.", None, NEAR, target.name, name)
-                return Episode(self.name, seed, start, items, goal, way - NEAR, time_limit=180.0)
-        raise no_room(self.name, ground, "nothing can be hidden in it")
+                return Episode(self.name, seed, start, items, goal, distance - NEAR, time_limit=180.0)
+        raise no_room(self.name, ground, "no object can be placed out of view of the start")
 
     def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
         """Returns the straight-line distance to the object, metres."""
@@ -67,7 +67,7 @@ class ObjectSearch(Task):
         return bool(ground.sees(obs.base, [_target(episode, obs)], NEAR)[0])
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns a policy that explores the nearest unseen floor until it sees the object, then drives to it."""
+        """Returns a policy that explores the nearest unseen floor until the object is in view, then drives to it."""
         return _SearchPolicy(episode, ground)
 
 
@@ -78,15 +78,15 @@ def _target(episode: Episode, obs: Observation) -> tuple[float, float]:
 
 def _distinct_classes(rng: np.random.Generator) -> list[str]:
     """Returns objects of different classes, in random order."""
-    chosen: dict[str, str] = {}
+    by_class: dict[str, str] = {}
     for number in rng.permutation(len(MODELS)):
         model = MODELS[int(number)]
-        chosen.setdefault(item_body(Item("any", model, Pose())).semantic_class, model)
-    return list(chosen.values())[: DISTRACTORS + 1]
+        by_class.setdefault(item_body(Item("any", model, Pose())).semantic_class, model)
+    return list(by_class.values())[: DISTRACTORS + 1]
 
 
-def _spread(ground: Ground, rng: np.random.Generator, models: list[str], region: NDArray[np.bool_]) -> tuple[Item, ...]:
-    """Returns items on free floor, apart from each other; fewer than ``models`` if there is no room."""
+def _scatter(ground: Ground, rng: np.random.Generator, models: list[str], region: NDArray[np.bool_]) -> tuple[Item, ...]:
+    """Returns items on free floor at a distance from each other; fewer than ``models`` if there is no room."""
     cells = np.argwhere(region & (ground.floor.distance_to_obstacle >= max(_SPACE, ground.reach)))
     items: list[Item] = []
     for number in rng.permutation(len(cells))[: 20 * len(models)]:
@@ -101,7 +101,7 @@ def _spread(ground: Ground, rng: np.random.Generator, models: list[str], region:
 
 
 class _SearchPolicy:
-    """Drives to the nearest unseen floor, turns once around, and repeats; remembers the position of the object once it was in view."""
+    """Drives to the nearest unseen floor, makes a full turn, and repeats; remembers the position of the object once it has been in view."""
 
     COARSE_M = 0.25
     """Spacing of the floor points that are marked as seen, metres."""
@@ -136,7 +136,7 @@ class _SearchPolicy:
         return self._driver.act(obs) if self._driver else Action(angular=1.0)
 
     def _update_seen(self, obs: Observation) -> None:
-        """Marks the floor points in view as seen, and remembers the position of the object."""
+        """Marks the floor points in view as seen, and remembers the position of the object if it is in view."""
         target = _target(self._episode, obs)
         if self._ground.sees(obs.base, [target])[0]:
             if self._found is None:
@@ -146,7 +146,7 @@ class _SearchPolicy:
         self._unseen[unseen[self._ground.sees(obs.base, self._points[unseen])]] = False
 
     def _next(self, obs: Observation) -> Driver | None:
-        """Returns a driver to the nearest unseen floor point; None = all is seen."""
+        """Returns a driver to the nearest unseen floor point; None = no reachable point is unseen."""
         if not self._unseen.any():
             self._unseen[:] = True
         planner: PathPlanner = self._ground.planner
@@ -155,12 +155,12 @@ class _SearchPolicy:
         except SceneError:
             return None
         cells = self._ground.floor.cells(self._points[self._unseen])
-        away = distances[cells[:, 0], cells[:, 1]]
-        away[away < 0.5] = np.inf
-        if not np.isfinite(away).any():
+        unseen_distances = distances[cells[:, 0], cells[:, 1]]
+        unseen_distances[unseen_distances < 0.5] = np.inf
+        if not np.isfinite(unseen_distances).any():
             self._unseen[:] = False
             return None
-        x, y = self._points[self._unseen][int(away.argmin())].tolist()
+        x, y = self._points[self._unseen][int(unseen_distances.argmin())].tolist()
         return Driver(self._ground, (x, y), self._episode.items, near=0.3)
 
     def _approach(self, obs: Observation, target: tuple[float, float]) -> Action:

@@ -33,37 +33,37 @@ from gibson_sim.types import Pose, Vec3
 
 DOOR = "door"
 WALL_X, JAMBS = 4.26, (1.75, 2.65)
-"""The doorway of scene ``arena``, which has no door: x of the centre of its wall, y of its two jambs, metres."""
+"""Doorway of scene ``arena``, which has no door: x of the centre of its wall, y of its two jambs, metres."""
 HINGE_INSIDE = 0.022
 """Distance from a jamb to the hinge, metres, see docs/objects.md."""
 OPEN = math.radians(60.0)
-"""Opening from which on a door counts as open, radians."""
+"""Minimum opening at which a door counts as open, radians."""
 RADIUS = 0.40
 """Distance to the goal within which it is reached, metres."""
 HANDLE_HEIGHTS = (0.92, 1.10)
-"""Lowest and highest handle above the floor, metres."""
+"""Minimum and maximum height of the handle above the floor, metres."""
 DAMPINGS = (1.0, 5.0)
-"""Lowest and highest damping of the hinge, N m s/rad."""
+"""Minimum and maximum damping of the hinge, N m s/rad."""
 FRICTIONS = (0.2, 2.0)
-"""Lowest and highest dry friction of the hinge, N m."""
+"""Minimum and maximum dry friction of the hinge, N m."""
 HANDLE_FRICTIONS = (0.3, 0.6)
-"""Lowest and highest friction coefficient of the handle."""
+"""Minimum and maximum friction coefficient of the handle."""
 _LEAD = 0.07
-"""Greatest lead of the gripper's target over the door, radians: the arm is stiff, and with more the gripper slips off the handle."""
+"""Largest lead of the gripper's target over the door, radians: the arm is stiff, and with more the gripper slips off the handle."""
 _FARTHER = 0.3
-"""Distance behind the place where the handle is grasped, at which the arm is unfolded, metres."""
+"""Distance behind the grasping stance at which the arm is unfolded, metres."""
 _PATIENCE_S = 2.5
-"""Longest duration of a small arm movement, seconds."""
+"""Timeout of a small arm movement, seconds."""
 _RELAXES_S = 0.5
 """Time that the arm holds still before the gripper opens, seconds."""
 _FOLDED = (0.42, 0.95)
-"""Intermediate position of the gripper before the arm is tucked in: ahead of the base, and above the floor, metres."""
+"""Intermediate position of the gripper before the arm is tucked: distance ahead of the base, and height above the floor, metres."""
 _TRIES = 3
-"""Attempts to grasp the handle."""
+"""Maximum number of attempts to grasp the handle."""
 
 
 class OpenDoor(Task):
-    """The door is closed and opens towards the robot; its hinge is left or right."""
+    """The door is closed and opens towards the robot; its hinge is on the left or right."""
 
     name = "open-door"
     environment = "OpenDoor"
@@ -74,41 +74,41 @@ class OpenDoor(Task):
     def generate(self, seed: int, ground: Ground) -> Episode:
         """Returns the episode of a seed; see ``Task.generate``."""
         rng = generator(self, seed)
-        body, model, pose = self._hung(ground, rng)
+        body, model, pose = self._sample_door(ground, rng)
         values = [float(rng.uniform(*span)) for span in (HANDLE_HEIGHTS, DAMPINGS, FRICTIONS, HANDLE_FRICTIONS)]
         text = changed_door(item_body(Item(DOOR, model, pose)).model.path, DoorChange(*values))
         others = {other.name for other in ground.scene.bodies} - {body}
         name = next(name for name in (DOOR, *(f"{DOOR}_{k}" for k in range(2, len(others) + 3))) if name not in others)
         item, removed = Item(name, model, pose, text), (body,) if body else ()
-        there = doorway(ground, item_door(item), removed)
-        if there is None:
+        passage = doorway(ground, item_door(item), removed)
+        if passage is None:
             raise no_room(self.name, ground, "no door that a robot has the room to pull open")
-        start, goal = (free_place(there.ground, rng, region) for region in (there.near, there.far))
-        words = f"Open the door and go through it to x = {goal.position[0]:.2f} m, y = {goal.position[1]:.2f} m."
-        aim = Goal(words, goal.position, RADIUS, name, "door")
-        return Episode(self.name, seed, start, (item,), aim, math.nan, time_limit=120.0, removed=removed)
+        start, goal = (free_place(passage.ground, rng, region) for region in (passage.near, passage.far))
+        text = f"Open the door and go through it to x = {goal.position[0]:.2f} m, y = {goal.position[1]:.2f} m."
+        target = Goal(text, goal.position, RADIUS, name, "door")
+        return Episode(self.name, seed, start, (item,), target, math.nan, time_limit=120.0, removed=removed)
 
-    def _hung(self, ground: Ground, rng: np.random.Generator) -> tuple[str, str, Pose]:
-        """Returns the name of the scene body that is replaced (empty = none), the model of the door, and its pose."""
+    def _sample_door(self, ground: Ground, rng: np.random.Generator) -> tuple[str, str, Pose]:
+        """Returns the name of the scene body to replace (empty = none), the model of the door, and its pose."""
         if ground.scene.name == "arena":
-            # The robot is at lower x than the wall (side -1) or beyond it, the hinge to its left or right.
+            # The robot is on the side of lower x of the wall (side -1) or on the other side, with the hinge on its left or right.
             side, left = (-1.0, 1.0)[int(rng.integers(2))], bool(rng.integers(2))
             hinge_high = left == (side < 0)
             y = JAMBS[1] - HINGE_INSIDE if hinge_high else JAMBS[0] + HINGE_INSIDE
             yaw = -math.pi / 2.0 if hinge_high else math.pi / 2.0
-            # A left door opens to +y of its own frame, which has to be the robot's side.
+            # A left door opens to +y of its frame, which must be the robot's side.
             opens_left = -math.sin(yaw) * side > 0.0
             return "", "door_90_left" if opens_left else "door_90_right", on_floor(ground, WALL_X, y, yaw)
         doors = scene_doors(ground.scene)
         shuffled = (doors[k].body for k in rng.permutation(len(doors)) if doorway(ground, doors[k], (doors[k].body,)) is not None)
         name = next(shuffled, "")
         if not name:
-            raise no_room(self.name, ground, "no door that a robot has the room to pull open, and no other way round")
+            raise no_room(self.name, ground, "no door that a robot has the room to pull open and that is the only connection")
         body = next(body for body in ground.scene.bodies if body.name == name)
         return name, str(body.model.path), body.start
 
     def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
-        """Returns the straight-line distance to the goal, metres, plus what the door lacks to be open, radians."""
+        """Returns the straight-line distance to the goal, metres, plus the missing opening of the door, radians."""
         return super().remaining(episode, obs, ground) + max(0.0, OPEN - opening(episode, obs))
 
     def succeeded(self, episode: Episode, obs: Observation, ground: Ground) -> bool:
@@ -117,9 +117,9 @@ class OpenDoor(Task):
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
         """Returns a script that grasps the handle, pulls the door open by backing up, and drives through."""
-        there = doorway(ground, episode_door(episode), episode.removed)
-        assert there is not None, episode
-        return Script(_OpenDoorScript(episode, there).steps)
+        passage = doorway(ground, episode_door(episode), episode.removed)
+        assert passage is not None, episode
+        return Script(_OpenDoorScript(episode, passage).steps)
 
 
 @lru_cache(maxsize=64)
@@ -146,27 +146,27 @@ def _rotation(yaw: float) -> NDArray[np.float64]:
 
 
 class _OpenDoorScript:
-    def __init__(self, episode: Episode, there: Doorway) -> None:
-        self._episode, self._there, self._door = episode, there, there.door
-        self._arm = Arm(there.ground.robot)
+    def __init__(self, episode: Episode, passage: Doorway) -> None:
+        self._episode, self._doorway, self._door = episode, passage, passage.door
+        self._arm = Arm(passage.ground.robot)
 
     def steps(self, obs: Observation) -> Steps:
         """Yields the actions of the whole script."""
         for _ in range(_TRIES):
-            obs = yield from self._before_handle(obs)
-            obs = yield from self._take(obs)
+            obs = yield from self._drive_to_handle(obs)
+            obs = yield from self._grasp(obs)
             obs = yield from self._pull(obs)
-            obs = yield from self._let_go(obs)
+            obs = yield from self._release(obs)
             if self._door.opening(obs) > OPEN:
                 obs = yield from self._through(obs)
         return obs
 
-    def _before_handle(self, obs: Observation) -> Steps:
-        """Drives to the place before the handle, and readies the arm."""
+    def _drive_to_handle(self, obs: Observation) -> Steps:
+        """Drives to the stance before the handle, and prepares the arm."""
         door, opening, slant = self._door, self._door.opening(obs), self._slant(obs)
-        place = door.stance(opening, slant, REACH + _FARTHER)
-        if obs.distance_to(place) > 0.1:
-            obs = yield from drive(obs, self._driver(obs, place))
+        stance = door.stance(opening, slant, REACH + _FARTHER)
+        if obs.distance_to(stance) > 0.1:
+            obs = yield from drive(obs, self._driver(obs, stance))
         hand = door.grip(opening, slant)
         obs = yield from face(obs, math.atan2(hand[1] - obs.xy[1], hand[0] - obs.xy[0]))
         ready = self._arm.reaching(obs, self._ahead(obs, REACH, self._height(obs)), _rotation(obs.yaw))
@@ -183,15 +183,15 @@ class _OpenDoorScript:
         return obs.xy[0] + metres * math.cos(obs.yaw), obs.xy[1] + metres * math.sin(obs.yaw), z
 
     def _slant(self, obs: Observation) -> float:
-        """Returns the slant at which the handle is grasped; less for a door that is already partly open."""
-        return max(0.0, self._there.slant - self._door.opening(obs) / 2.0)
+        """Returns the slant at which the handle is grasped; smaller for a partly open door."""
+        return max(0.0, self._doorway.slant - self._door.opening(obs) / 2.0)
 
-    def _driver(self, obs: Observation, place: XY, near: float = 0.0) -> Driver:
-        """Returns a driver to a place that avoids the leaf of the door where it is now."""
+    def _driver(self, obs: Observation, goal: XY, near: float = 0.0) -> Driver:
+        """Returns a driver to a goal that avoids the door leaf at its current opening."""
         leaf = leaf_outline(self._door, self._door.opening(obs))
-        return Driver(self._there.ground, place, obstacles=[leaf], near=near)
+        return Driver(self._doorway.ground, goal, obstacles=[leaf], near=near)
 
-    def _take(self, obs: Observation) -> Steps:
+    def _grasp(self, obs: Observation) -> Steps:
         """Moves the gripper to the handle and closes it."""
         door, opening = self._door, self._door.opening(obs)
         slant = door.slant(opening, door.grip(opening, self._slant(obs)), obs.xy)
@@ -212,22 +212,23 @@ class _OpenDoorScript:
         radius = math.dist((x, y), door.hinge)
         ahead_of_leaf = math.atan2(y - door.hinge[1], x - door.hinge[0]) - door.bearing - door.sense * begin
         angle, rest = begin, dict(obs.joints)
-        way = backing_path(door, door.slant(begin, door.grip(begin, self._slant(obs)), obs.xy), self._there.wide, begin)
+        slant = door.slant(begin, door.grip(begin, self._slant(obs)), obs.xy)
+        path = backing_path(door, slant, self._doorway.wide, begin)
         targets, until = rest, obs.time + 30.0
-        while door.opening(obs) < self._there.wide and obs.held and obs.time < until:
-            # The target may not run ahead of the door.
+        while door.opening(obs) < self._doorway.wide and obs.held and obs.time < until:
+            # Limits the lead of the target over the door.
             angle = min(angle + 0.1 * PULL_SPEED / radius, door.opening(obs) + _LEAD)
-            at = door.bearing + ahead_of_leaf + door.sense * angle
-            hand = door.hinge[0] + radius * math.cos(at), door.hinge[1] + radius * math.sin(at)
+            bearing = door.bearing + ahead_of_leaf + door.sense * angle
+            hand = door.hinge[0] + radius * math.cos(bearing), door.hinge[1] + radius * math.sin(bearing)
             targets = self._arm.towards_point(obs, targets, (*hand, z), rest)
-            linear, angular = way.speeds((*obs.xy, obs.yaw), angle)
+            linear, angular = path.speeds((*obs.xy, obs.yaw), angle)
             obs = yield Action(linear, angular, joints=targets, grasp=True)
         return obs
 
-    def _let_go(self, obs: Observation) -> Steps:
+    def _release(self, obs: Observation) -> Steps:
         """Relaxes the arm, opens the gripper, backs up, and folds the arm, first straight back to avoid collisions."""
         if obs.held:
-            # A gripper that opens while it pulls springs back against the handle, and the door swings shut.
+            # A gripper that opens while pulling springs back against the handle and pushes the door shut.
             obs = yield from wait(obs, _RELAXES_S, Action(joints=self._arm.still(obs), grasp=True))
         obs = yield from wait(obs, 0.6, Action(grasp=False))
         obs = yield from creep(obs, -LEAVE)
@@ -237,7 +238,7 @@ class _OpenDoorScript:
         return (yield from self._arm.move(obs, self._arm.named("tucked")))
 
     def _through(self, obs: Observation) -> Steps:
-        """Drives to the goal; gives up where the door is not open wide enough, so that it is opened again."""
+        """Drives to the goal; gives up if the door is not open wide enough, so that it is opened again."""
         goal = self._episode.goal.position
         assert goal is not None
         return (yield from drive(obs, self._driver(obs, goal[:2], RADIUS - 0.05), longest=90.0, waits=False))

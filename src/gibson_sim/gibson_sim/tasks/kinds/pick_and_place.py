@@ -12,19 +12,19 @@ from gibson_sim.tasks.furnishing import (
     REACHING,
     STAND,
     Furniture,
-    against_a_wall,
     extent,
+    furniture_of,
     height,
-    lying,
-    middle,
-    standing,
-    start_before,
+    item_centre,
+    item_on_point,
+    place_against_wall,
+    start_for,
 )
 from gibson_sim.tasks.ground import Ground
 from gibson_sim.tasks.kinds.arm_task import ArmTask, tool_position
 from gibson_sim.tasks.placing import TRIES, no_room
 from gibson_sim.tasks.scripts.arm import Arm, Script, Steps, creep, wait
-from gibson_sim.tasks.scripts.handling import ABOVE, FINGERS, come_near, downwards, go_before, ready, take_from_above
+from gibson_sim.tasks.scripts.handling import ABOVE, FINGERS, approach, downwards, drive_to_stand, ready, take_from_above
 from gibson_sim.tasks.task import Policy, generator
 from gibson_sim.types import Vec3
 
@@ -32,31 +32,31 @@ THING = "thing"
 THINGS = ("can_soda", "can_food", "cup", "mug", "glass_tumbler", "candle", "fruit_apple", "fruit_orange", "remote_control")
 """Objects that fit between the fingers and are low enough to be held upright from above."""
 SURFACES = ("table_side", "cabinet_drawers", "cabinet_doors")
-"""Furniture with surfaces at 0.50, 0.72 and 0.76 m."""
+"""Furniture with surfaces at heights of 0.50, 0.72 and 0.76 m."""
 NEAR = 0.03
 """Distance from the centre of the object to its goal within which it is placed, metres."""
 AT_REST = 0.02
 """Speed below which the object is at rest, m/s."""
 HAND_AWAY = 0.10
-"""Distance from the tool to the centre of the object below which the object may still lean on the gripper, metres."""
+"""Minimum distance from the tool to the centre of the object for success, metres: nearer, the object may lean on the gripper."""
 SAME = 1.0 / 3.0
-"""Fraction of episodes in which both places are on the same surface."""
+"""Fraction of episodes with start and goal on the same surface."""
 FROM_EDGE = (0.10, 0.22)
-"""Least and greatest distance from the front edge of a surface to a place on it, metres."""
+"""Minimum and maximum distance from the front edge of a surface to a position on it, metres."""
 TO_SIDE = 0.20
-"""Greatest sideways distance from the centre of a surface to a place on it, metres; ``FROM_EDGE`` from its sides is kept."""
+"""Maximum lateral distance from the centre of a surface to a position on it, metres; the minimum of ``FROM_EDGE`` to its sides is kept."""
 APART = 0.15
-"""Least distance between both places, metres."""
+"""Minimum distance between start and goal, metres."""
 _OVER = 0.08
 """Clearance of the approaching gripper above the object, metres."""
 _NEAREST = 0.46
-"""Distance from the base to a place below which an arm that points down does not reach it, metres."""
+"""Minimum distance from the base to a position that a downward arm can reach, metres."""
 _TRIES = 3
-"""Attempts of the script."""
+"""Maximum number of attempts of the script."""
 
 
 class PickAndPlace(ArmTask):
-    """The object stands on a surface, and its goal is on another one or on the same."""
+    """The object stands on a surface; its goal is on the same or on another surface."""
 
     name = "pick-and-place"
     environment = "PickAndPlace"
@@ -68,32 +68,34 @@ class PickAndPlace(ArmTask):
         rng = generator(self, seed)
         for _ in range(TRIES // 4):
             furniture = _furniture(ground, rng)
-            start = start_before(ground, rng, furniture) if furniture else None
+            start = start_for(ground, rng, furniture) if furniture else None
             if start is None:
                 continue
             model = THINGS[int(rng.integers(len(THINGS)))]
-            places = _places(rng, furniture)
-            if places is None:
+            positions = _start_and_goal(rng, furniture)
+            if positions is None:
                 continue
-            place, goal = places
-            thing = lying(THING, model, place, float(rng.uniform(-math.pi, math.pi)))
+            position, goal = positions
+            thing = item_on_point(THING, model, position, float(rng.uniform(-math.pi, math.pi)))
             kind = item_body(thing).semantic_class
             text = f"Put the {kind.replace('_', ' ')} to x = {goal[0]:.2f} m, y = {goal[1]:.2f} m, z = {goal[2]:.2f} m."
-            items = (*(one.item for one in furniture), thing)
+            items = (*(piece.item for piece in furniture), thing)
             return Episode(self.name, seed, start, items, Goal(text, goal, NEAR, THING, kind), math.nan, time_limit=180.0)
-        raise no_room(self.name, ground, "no wall has a table before it with free floor for a robot")
+        raise no_room(self.name, ground, "no wall has room for a table with free floor in front of it for a robot")
 
     def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
         """Returns the distance from the object to its goal plus, until it is placed, from the gripper to the object, metres."""
-        away = _away(episode, obs)
-        return away if away <= NEAR else away + math.dist(tool_position(ground, obs), middle(episode.items[-1], obs))
+        distance = _goal_distance(episode, obs)
+        if distance <= NEAR:
+            return distance
+        return distance + math.dist(tool_position(ground, obs), item_centre(episode.items[-1], obs))
 
     def succeeded(self, episode: Episode, obs: Observation, ground: Ground) -> bool:
         """Returns whether the object rests at its goal and the gripper has released it."""
         thing = episode.items[-1]
-        rests = obs.speeds.get(item_root(thing), 0.0) < AT_REST
-        away = math.dist(tool_position(ground, obs), middle(thing, obs)) > HAND_AWAY
-        return not obs.held and rests and away and _away(episode, obs) <= NEAR
+        at_rest = obs.speeds.get(item_root(thing), 0.0) < AT_REST
+        hand_away = math.dist(tool_position(ground, obs), item_centre(thing, obs)) > HAND_AWAY
+        return not obs.held and at_rest and hand_away and _goal_distance(episode, obs) <= NEAR
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
         """Returns a script that grasps the object from above, carries it, and puts it down."""
@@ -101,90 +103,90 @@ class PickAndPlace(ArmTask):
 
 
 def _furniture(ground: Ground, rng: np.random.Generator) -> tuple[Furniture, ...]:
-    """Returns one or two pieces of furniture, the first with the object and the last with the goal; none if there is no room."""
+    """Returns one or two pieces of furniture, the first for the object and the last for the goal; an empty tuple if there is no room."""
     count = 1 if rng.random() < SAME else 2
-    found: list[Furniture] = []
+    furniture: list[Furniture] = []
     for number in range(count):
         model = SURFACES[int(rng.integers(len(SURFACES)))]
-        one = against_a_wall(ground, rng, f"surface_{number + 1}", model, found)
-        if one is None:
+        piece = place_against_wall(ground, rng, f"surface_{number + 1}", model, furniture)
+        if piece is None:
             return ()
-        found.append(one)
-    return tuple(found)
+        furniture.append(piece)
+    return tuple(furniture)
 
 
-def _places(rng: np.random.Generator, furniture: Sequence[Furniture]) -> tuple[Vec3, Vec3] | None:
-    """Returns where the object stands and its goal, world frame, metres; None if there is no room for both."""
+def _start_and_goal(rng: np.random.Generator, furniture: Sequence[Furniture]) -> tuple[Vec3, Vec3] | None:
+    """Samples the position of the object and its goal, world frame, metres; None if there is no room for both."""
     for _ in range(TRIES):
-        first = _place(rng, furniture[0])
-        # On a small surface nothing is far enough from its centre.
+        first = _sample_position(rng, furniture[0])
+        # On a small surface, no position is far enough from a first position near the centre.
         for _ in range(TRIES):
-            second = _place(rng, furniture[-1])
+            second = _sample_position(rng, furniture[-1])
             if math.dist(first, second) >= APART:
                 return first, second
     return None
 
 
-def _place(rng: np.random.Generator, one: Furniture) -> Vec3:
-    _, high = extent(one.item.model)
+def _sample_position(rng: np.random.Generator, furniture: Furniture) -> Vec3:
+    _, high = extent(furniture.item.model)
     side = min(TO_SIDE, high[1] - FROM_EDGE[0])
-    return one.point(high[0] - float(rng.uniform(*FROM_EDGE)), float(rng.uniform(-side, side)), high[2])
+    return furniture.point(high[0] - float(rng.uniform(*FROM_EDGE)), float(rng.uniform(-side, side)), high[2])
 
 
-def _away(episode: Episode, obs: Observation) -> float:
+def _goal_distance(episode: Episode, obs: Observation) -> float:
     """Returns the distance from the centre of the object to its goal, metres."""
     goal, thing = episode.goal.position, episode.items[-1]
     assert goal is not None
-    return math.dist(middle(thing, obs), (goal[0], goal[1], goal[2] + height(thing.model) / 2.0))
+    return math.dist(item_centre(thing, obs), (goal[0], goal[1], goal[2] + height(thing.model) / 2.0))
 
 
 class _PickAndPlaceScript:
-    """Picks the object and places it; tries again if that failed."""
+    """Picks the object and places it; tries again after a failure."""
 
     def __init__(self, episode: Episode, ground: Ground) -> None:
         assert episode.goal.position is not None
         self._episode, self._ground, self._arm = episode, ground, Arm(ground.robot)
         self._thing, self._goal = episode.items[-1], episode.goal.position
-        self._every = tuple(standing(item) for item in episode.items[:-1])
+        self._furniture = tuple(furniture_of(item) for item in episode.items[:-1])
 
     def steps(self, obs: Observation) -> Steps:
         """Yields the actions of the whole script."""
         for _ in range(_TRIES):
-            source = min(self._every, key=lambda one: math.dist(one.item.pose.position, middle(self._thing, obs)))
-            obs = yield from self._before(obs, source, False)
+            source = min(self._furniture, key=lambda piece: math.dist(piece.item.pose.position, item_centre(self._thing, obs)))
+            obs = yield from self._approach(obs, source, False)
             obs = yield from take_from_above(obs, self._arm, self._thing, ABOVE + 0.05)
             if obs.held == THING:
-                if source is not self._every[-1]:
+                if source is not self._furniture[-1]:
                     obs = yield from creep(obs, -REACHING, grasp=True)
-                    obs = yield from self._before(obs, self._every[-1], True)
-                obs = yield from self._put(obs)
+                    obs = yield from self._approach(obs, self._furniture[-1], True)
+                obs = yield from self._put_down(obs)
             obs = yield from creep(obs, -REACHING, grasp=False)
-            if _away(self._episode, obs) <= NEAR:
+            if _goal_distance(self._episode, obs) <= NEAR:
                 break
         return obs
 
-    def _before(self, obs: Observation, one: Furniture, grasp: bool) -> Steps:
-        """Drives before a surface, and holds the gripper above it."""
-        obs = yield from go_before(obs, self._ground, one, self._every, grasp)
-        top = one.point(*extent(one.item.model)[1])[2]
+    def _approach(self, obs: Observation, furniture: Furniture, grasp: bool) -> Steps:
+        """Drives to a surface, and holds the gripper above it."""
+        obs = yield from drive_to_stand(obs, self._ground, furniture, self._furniture, grasp)
+        top = furniture.point(*extent(furniture.item.model)[1])[2]
         obs = yield from ready(obs, self._arm, top + height(self._thing.model) + _OVER, downwards(obs), grasp, low=top + FINGERS)
-        return (yield from come_near(obs, one, STAND - REACHING, grasp))
+        return (yield from approach(obs, furniture, STAND - REACHING, grasp))
 
-    def _put(self, obs: Observation) -> Steps:
+    def _put_down(self, obs: Observation) -> Steps:
         """Lowers the object to its goal, and opens the gripper."""
         ahead, _ = obs.in_base(self._goal[:2])
         if ahead < _NEAREST:
             obs = yield from creep(obs, ahead - _NEAREST, grasp=True)
         rotation = downwards(obs)
-        # Twice above it: the object may have turned a little in the gripper.
+        # Twice above the goal: the object may have rotated slightly in the gripper.
         for up, speed in ((0.05, 0.15), (0.05, 0.15), (0.003, 0.06)):
-            obs = yield from self._arm.straight(obs, self._over(obs, up), rotation, True, speed)
+            obs = yield from self._arm.straight(obs, self._tool_above_goal(obs, up), rotation, True, speed)
         obs = yield from wait(obs, 1.0, Action(grasp=False))
         x, y, z = self._arm.tool(obs).position
         return (yield from self._arm.straight(obs, (x, y, z + ABOVE + height(self._thing.model)), rotation, False, speed=0.08))
 
-    def _over(self, obs: Observation, up: float) -> Vec3:
-        """Returns the tool position that puts the object ``up`` metres above its goal, world frame, metres."""
-        tool, thing = self._arm.tool(obs).position, middle(self._thing, obs)
+    def _tool_above_goal(self, obs: Observation, up: float) -> Vec3:
+        """Returns the tool position for which the object is ``up`` metres above its goal, world frame, metres."""
+        tool, thing = self._arm.tool(obs).position, item_centre(self._thing, obs)
         x, y, z = ((g + t - m) for g, t, m in zip(self._goal, tool, thing, strict=True))
         return x, y, z + height(self._thing.model) / 2.0 + up

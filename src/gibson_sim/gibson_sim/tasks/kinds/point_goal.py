@@ -1,4 +1,4 @@
-"""Drive to a position while movable objects lie in the way."""
+"""Drive to a position past movable obstacles."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from gibson_sim.tasks.scripts.driving import Driver, pose_xy
 from gibson_sim.tasks.task import Policy, Task, generator
 
 MODELS = ("box_small", "box_cardboard", "basket", "bin_waste", "ball", "toy_ball", "book_stack", "stool")
-"""Objects that lie in the way."""
+"""Objects used as obstacles."""
 THINGS = 8
-"""Number of objects."""
+"""Number of obstacles."""
 DISTANCE = (2.5, 10.0)
-"""Least and greatest length of the path from start to goal, metres."""
+"""Minimum and maximum length of the path from start to goal, metres."""
 RADIUS = 0.30
 """Distance to the goal within which it is reached, metres."""
 
 
 class PointGoal(Task):
-    """Start and goal are drawn without regard to the objects; the shortest path is that without them."""
+    """Start and goal are sampled independently of the objects; the shortest path ignores them."""
 
     name = "point-goal"
     environment = "PointGoal"
@@ -36,20 +36,20 @@ class PointGoal(Task):
             goal, _ = at_distance(ground, rng, start, *DISTANCE)
         except SceneError:
             goal, _ = at_distance(ground, rng, start, 1.0, DISTANCE[1])
-        way = ground.planner.path(pose_xy(start), pose_xy(goal))
+        path = ground.planner.path(pose_xy(start), pose_xy(goal))
         clear = ((pose_xy(start), ground.reach + 0.15), (pose_xy(goal), ground.reach + 0.05))
-        items = clutter(ground, rng, way, MODELS, THINGS, keep_clear=clear)
+        items = clutter(ground, rng, path, MODELS, THINGS, keep_clear=clear)
         return Episode(
             task=self.name,
             seed=seed,
             start=start,
             items=items,
             goal=Goal(f"Go to x = {goal.position[0]:.2f} m, y = {goal.position[1]:.2f} m.", goal.position, RADIUS),
-            shortest=max(path_length(way) - RADIUS, 0.1),
+            shortest=max(path_length(path) - RADIUS, 0.1),
             time_limit=90.0,
         )
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns a driver that goes around the objects where there is a path, and pushes through them otherwise."""
+        """Returns a driver that drives around the objects if a path exists, and pushes through them otherwise."""
         assert episode.goal.position is not None
         return Driver(ground, episode.goal.position[:2], episode.items, near=RADIUS)

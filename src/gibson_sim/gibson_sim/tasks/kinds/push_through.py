@@ -1,4 +1,4 @@
-"""Get through a doorway that boxes block; no path leads around them."""
+"""Drive through a doorway blocked by boxes; no path leads around them."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ RADIUS = 0.30
 MODELS = ("box_cardboard", "basket", "bin_waste", "box_small")
 """Objects that block a doorway."""
 AWAY = (1.0, 3.0)
-"""Least and greatest length of the path from the doorway to start and goal, metres."""
+"""Minimum and maximum length of the path from the doorway to start and goal, metres."""
 _BEYOND = 0.6
-"""Least distance from the plane of the wall to start and goal, metres."""
+"""Minimum distance from the plane of the wall to start and goal, metres."""
 _GAP = 0.015
 """Gap between boxes, and beside them, metres."""
 _TIGHT = 0.06
-"""What the widest gap lacks for the robot to pass, metres."""
+"""Difference between the robot's diameter and the widest gap, metres."""
 _UNEVEN, _CROOKED = 0.04, 0.05
-"""Greatest offset along the passage, metres, and rotation, radians, of a box out of line."""
+"""Maximum offset along the passage, metres, and maximum rotation, radians, of a box from its place in the row."""
 
 
 class PushThrough(Task):
@@ -54,18 +54,18 @@ class PushThrough(Task):
                 items = _blockade(ground, rng, door)
                 if _open(ground, start, goal, items):
                     continue
-                way = ground.planner.path(pose_xy(start), pose_xy(goal))
+                path = ground.planner.path(pose_xy(start), pose_xy(goal))
             except SceneError:
                 continue
-            if path_length(way) > 2.0 * sum(AWAY):
+            if path_length(path) > 2.0 * sum(AWAY):
                 continue
             text = f"Go through the doorway to x = {goal.position[0]:.2f} m, y = {goal.position[1]:.2f} m."
-            shortest = max(path_length(way) - RADIUS, 0.1)
+            shortest = max(path_length(path) - RADIUS, 0.1)
             return Episode(self.name, seed, start, items, Goal(text, goal.position, RADIUS), shortest, time_limit=90.0)
-        raise no_room(self.name, ground, "no doorway of it can be blocked so that there is no way round")
+        raise no_room(self.name, ground, "no doorway can be blocked so that no path leads around it")
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns a driver that ignores the boxes, and backs off where it gets stuck."""
+        """Returns a driver that ignores the boxes, and backs up when it gets stuck."""
         assert episode.goal.position is not None
         return Driver(ground, episode.goal.position[:2], episode.items, around=False, near=RADIUS)
 
@@ -78,7 +78,7 @@ class PushThrough(Task):
 
 
 def _both_sides(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[Pose, Pose]:
-    """Returns a start on one side of a door and a goal on the other, both near it, T_world_base."""
+    """Samples a start on one side of a door and a goal on the other, both near it, T_world_base."""
     distances = ground.planner.distances(door.center)
     rows, columns = ground.floor.shape
     centers = ground.floor.centers(np.indices((rows, columns)).transpose(1, 2, 0))
@@ -90,24 +90,24 @@ def _both_sides(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[P
 
 
 def _blockade(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[Item, ...]:
-    """Returns a row of boxes that fills a doorway from side to side; none if no boxes fit."""
+    """Returns a row of boxes that fills a doorway from side to side; an empty tuple if no boxes fit."""
     along = np.array([math.cos(_squared(door.yaw)), math.sin(_squared(door.yaw))])
     across = np.array([-along[1], along[0]])
     row: list[tuple[str, float, float]] = []
-    left = door.width - 2.0 * _GAP
-    while left > 2.0 * ground.robot.radius - _TIGHT:
-        fitting = [one for one in _widths() if one[2] <= left]
+    remaining = door.width - 2.0 * _GAP
+    while remaining > 2.0 * ground.robot.radius - _TIGHT:
+        fitting = [box for box in _widths() if box[2] <= remaining]
         if not fitting:
             return ()
         row.append(fitting[int(rng.integers(len(fitting)))])
-        left -= row[-1][2] + _GAP
-    at = -(sum(width for _, _, width in row) + _GAP * (len(row) - 1)) / 2.0
+        remaining -= row[-1][2] + _GAP
+    offset = -(sum(width for _, _, width in row) + _GAP * (len(row) - 1)) / 2.0
     items = []
-    for number, (model, turn, width) in enumerate(row, 1):
-        x, y = door.center + across * (at + width / 2.0) + along * rng.uniform(-_UNEVEN, _UNEVEN)
-        yaw = _squared(door.yaw) + turn + rng.uniform(-_CROOKED, _CROOKED)
+    for number, (model, rotation, width) in enumerate(row, 1):
+        x, y = door.center + across * (offset + width / 2.0) + along * rng.uniform(-_UNEVEN, _UNEVEN)
+        yaw = _squared(door.yaw) + rotation + rng.uniform(-_CROOKED, _CROOKED)
         items.append(Item(f"box_{number}", model, on_floor(ground, float(x), float(y), float(yaw))))
-        at += width + _GAP
+        offset += width + _GAP
     return tuple(items)
 
 
@@ -123,6 +123,6 @@ def _squared(yaw: float) -> float:
 
 @lru_cache(maxsize=1)
 def _widths() -> tuple[tuple[str, float, float], ...]:
-    """Returns (object, yaw in radians, its width across the passage in metres) for each object and orientation."""
+    """Returns (object, yaw in radians, width across the passage in metres) for each object and orientation."""
     sizes = {model: np.ptp(footprint(model, Pose()), axis=0).tolist() for model in MODELS}
-    return tuple((model, turn, sizes[model][axis]) for model in MODELS for turn, axis in ((0.0, 1), (math.pi / 2.0, 0)))
+    return tuple((model, yaw, sizes[model][axis]) for model in MODELS for yaw, axis in ((0.0, 1), (math.pi / 2.0, 0)))

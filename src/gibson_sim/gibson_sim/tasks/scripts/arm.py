@@ -1,4 +1,4 @@
-"""Scripts as generators of actions, and arm kinematics for them. Pure."""
+"""Scripts as generators of actions, and arm kinematics for scripts. Pure."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from gibson_sim.tasks.scripts.driving import Driver, turn_towards
 from gibson_sim.types import Pose, Vec3
 
 Steps = Generator[Action, Observation, Observation]
-"""Yields an action, receives the observation after it; returns the last observation."""
+"""Generator that yields actions, receives the observation after each, and returns the last observation."""
 JOINT_STEP = 0.12
-"""Greatest change of a joint target in one control period, radians or metres."""
+"""Largest change of a joint target per control period, radians or metres."""
 ARRIVED_RAD = 0.04
 """Tolerance of joint targets, radians or metres."""
 EXACT_RAD = 0.004
-"""Tolerance of joint targets where the tool must be exact, radians or metres."""
+"""Tolerance of joint targets if the tool position must be exact, radians or metres."""
 TOOL_SPEED = 0.15
 """Speed of the tool on a straight line, m/s."""
 CONTROL_S = 0.1
-"""Usual control period, seconds."""
+"""Default control period, seconds."""
 POSE_STEPS, POSE_DAMPING = 4, 1e-4
 """Iterations per control period of ``Arm.towards_pose``, and the damping of its pseudo-inverse."""
 WORKS_AT = 0.45
-"""Height at which the gripper has good reach while the torso is down, metres above the floor."""
+"""Height above the floor at which the gripper has good reach with a lowered torso, metres."""
 POINT_STEPS, POINT_DAMPING = 3, 1e-3
 """Iterations per control period of ``Arm.towards_point``, and the damping of its pseudo-inverse, m^2."""
 PATIENCE_S = 6.0
-"""Longest duration of a movement, seconds; then the script goes on with its next step."""
+"""Timeout of a movement, seconds; afterwards the script continues with its next step."""
 
 
 class Script:
-    """A policy that runs a generator of actions; when it ends, the robot stands still."""
+    """A policy that runs a generator of actions; after its end the robot does not move."""
 
     def __init__(self, steps: Callable[[Observation], Steps]) -> None:
-        self._make = steps
+        self._create = steps
         self._steps: Steps | None = None
         self._last = Action()
 
@@ -51,7 +51,7 @@ class Script:
         """Returns the next action."""
         try:
             if self._steps is None:
-                self._steps = self._make(obs)
+                self._steps = self._create(obs)
                 self._last = next(self._steps)
             else:
                 self._last = self._steps.send(obs)
@@ -67,13 +67,13 @@ class Arm:
         robot: the robot.
 
     Raises:
-        ConfigError: it has no arm with a gripper.
+        ConfigError: the robot has no arm with a gripper.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
         spec = robot.manipulators[0] if robot.manipulators else None
         if spec is None or spec.gripper is None:
-            raise ConfigError(f"robot {robot.name!r} has no arm with a gripper; choose one that has, such as arm_bot")
+            raise ConfigError(f"robot {robot.name!r} has no arm with a gripper; choose a robot that has one, such as arm_bot")
         self._fingers = frozenset(spec.gripper.joints)
         self._poses = {pose.name: dict(pose.joints) for pose in robot.named_poses}
         self._tool = f"{robot.name}/{spec.tip_link}"
@@ -99,7 +99,7 @@ class Arm:
         return {name: min(max(z - WORKS_AT, self._limits[name][0]), self._limits[name][1]) for name in self._lifts}
 
     def rise(self, obs: Observation, metres: float) -> dict[str, float]:
-        """Returns positions of the lift joint below the arm that raise it by ``metres``, or to its limit."""
+        """Returns the position of the lift joint below the arm that raises it by ``metres``, or to its limit."""
         return {name: min(obs.joints[name] + metres, self._limits[name][1]) for name in self._lifts[:1]}
 
     def reaching(
@@ -110,13 +110,13 @@ class Arm:
         *,
         begin: Mapping[str, float] | None = None,
     ) -> dict[str, float] | None:
-        """Returns joint positions that bring the tool to a pose (inverse kinematics); None = out of reach.
+        """Returns joint positions for a tool pose (inverse kinematics); None = out of reach.
 
         Args:
-            obs: the present observation.
+            obs: the current observation.
             point: target position of the tool, world frame, metres.
             rotation: (3, 3), axes of the tool as columns, world frame; None = any.
-            begin: initial guess of the solver, and positions of the joints below the arm; default = the present positions.
+            begin: initial guess of the solver, and positions of the joints below the arm; default = the current positions.
         """
         T_world_tool: Mat4 = np.eye(4)
         T_world_tool[:3, 3] = point
@@ -132,9 +132,9 @@ class Arm:
     def towards_point(
         self, obs: Observation, targets: Mapping[str, float], point: Vec3, rest: Mapping[str, float]
     ) -> dict[str, float]:
-        """Returns joint targets a little further on from ``targets``, so that the tool approaches a world point in any orientation.
+        """Returns joint targets, one step from ``targets``, so that the tool approaches a world point in any orientation.
 
-        Targets never jump, so an arm that holds something keeps its shape; its null space is drawn to the posture ``rest``.
+        Targets never jump, so an arm that holds an object keeps its posture; null-space motion approaches the posture ``rest``.
         """
         x, y, z = (invert(matrix_from_pose(obs.base)) @ np.array([*point, 1.0]))[:3].tolist()
         joints = np.array([targets[name] for name in self.joints])
@@ -142,14 +142,14 @@ class Arm:
             T_base_tool, columns = self._chain.jacobian({**obs.joints, **dict(zip(self.joints, joints, strict=True))})
             jacobian = columns[:3]
             inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + POINT_DAMPING * np.eye(3))
-            free = np.eye(len(joints)) - inverse @ jacobian
+            null_space = np.eye(len(joints)) - inverse @ jacobian
             step = inverse @ (np.array([x, y, z]) - T_base_tool[:3, 3])
-            step += 0.1 * free @ (np.array([rest[name] for name in self.joints]) - joints)
+            step += 0.1 * null_space @ (np.array([rest[name] for name in self.joints]) - joints)
             joints = joints + np.clip(step, -JOINT_STEP / POINT_STEPS, JOINT_STEP / POINT_STEPS)
         return self._within(dict(zip(self.joints, joints.tolist(), strict=True)))
 
     def still(self, obs: Observation) -> dict[str, float]:
-        """Returns the present positions of the arm joints as targets."""
+        """Returns the current positions of the arm joints as targets."""
         return self._within({name: obs.joints[name] for name in self.joints})
 
     def _within(self, joints: Mapping[str, float]) -> dict[str, float]:
@@ -166,7 +166,7 @@ class Arm:
         tolerance: float = ARRIVED_RAD,
         patience: float = PATIENCE_S,
     ) -> Steps:
-        """Moves joints to targets, to within ``tolerance`` radians or metres, while the base stands still."""
+        """Moves joints to targets, to within ``tolerance`` radians or metres, while the base does not move."""
         until = obs.time + patience
         targets = {name: obs.joints[name] for name in joints}
         while obs.time < until:
@@ -179,7 +179,7 @@ class Arm:
     def straight(
         self, obs: Observation, point: Vec3, rotation: NDArray[np.float64], grasp: bool | None = None, speed: float = TOOL_SPEED
     ) -> Steps:
-        """Moves the tool to a world point along a straight line, as far as it can reach, while the base stands still."""
+        """Moves the tool to a world point along a straight line, as far as it can reach, while the base does not move."""
         begin, end = np.array(self.tool(obs).position), np.array(point)
         count = max(1, math.ceil(float(np.linalg.norm(end - begin)) / (speed * CONTROL_S)))
         targets = {name: obs.joints[name] for name in self.joints}
@@ -192,7 +192,7 @@ class Arm:
     def towards_pose(
         self, obs: Observation, targets: Mapping[str, float], point: NDArray[np.float64], rotation: NDArray[np.float64]
     ) -> dict[str, float]:
-        """Returns joint targets near ``targets`` that bring the tool to, or closer to, a world point with given axes."""
+        """Returns joint targets near ``targets`` that move the tool to, or closer to, a world point with the given axes."""
         T_world_tool: Mat4 = np.eye(4)
         T_world_tool[:3, :3], T_world_tool[:3, 3] = rotation, point
         target = invert(matrix_from_pose(obs.base)) @ T_world_tool
@@ -200,8 +200,8 @@ class Arm:
         lower, upper = np.array([self._limits.get(name, (-math.inf, math.inf)) for name in self.joints]).T
         for _ in range(POSE_STEPS):
             T_base_tool, jacobian = self._chain.jacobian({**obs.joints, **dict(zip(self.joints, joints, strict=True))})
-            turn = np.cross(T_base_tool[:3, :3], target[:3, :3], axis=0).sum(axis=1) / 2.0
-            error = np.concatenate([target[:3, 3] - T_base_tool[:3, 3], turn])
+            rotation_error = np.cross(T_base_tool[:3, :3], target[:3, :3], axis=0).sum(axis=1) / 2.0
+            error = np.concatenate([target[:3, 3] - T_base_tool[:3, 3], rotation_error])
             step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + POSE_DAMPING * np.eye(6), error)
             joints = np.clip(joints + np.clip(step, -JOINT_STEP, JOINT_STEP), lower, upper)
         return dict(zip(self.joints, joints.tolist(), strict=True))
@@ -216,13 +216,13 @@ def pointing(ahead: ArrayLike, across: ArrayLike) -> NDArray[np.float64]:
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
-def stepped(now: float, target: float, step: float) -> float:
-    """Returns ``now`` moved towards ``target`` by at most ``step``."""
-    return now + max(-step, min(step, target - now))
+def stepped(current: float, target: float, step: float) -> float:
+    """Returns ``current`` moved towards ``target`` by at most ``step``."""
+    return current + max(-step, min(step, target - current))
 
 
 def wait(obs: Observation, seconds: float, action: Action) -> Steps:
-    """Repeats one action for a time."""
+    """Repeats one action for ``seconds``."""
     until = obs.time + seconds
     while obs.time < until:
         obs = yield action
@@ -230,7 +230,7 @@ def wait(obs: Observation, seconds: float, action: Action) -> Steps:
 
 
 def drive(obs: Observation, driver: Driver, grasp: bool | None = None, longest: float = 60.0, *, waits: bool = True) -> Steps:
-    """Runs a driver until it has arrived; where there is no path it waits for one, or gives up with ``waits=False``."""
+    """Runs a driver until it has arrived; if no path exists, waits for one, or gives up with ``waits=False``."""
     until = obs.time + longest
     while not driver.done(obs) and obs.time < until and (waits or not driver.blocked):
         action = driver.act(obs)
@@ -247,7 +247,7 @@ def face(obs: Observation, yaw: float, tolerance: float = 0.02) -> Steps:
 
 
 def creep(obs: Observation, metres: float, speed: float = 0.15, grasp: bool | None = None) -> Steps:
-    """Drives straight ahead, or back for negative ``metres``."""
+    """Drives straight ahead by ``metres``, backwards if negative."""
     begin, until = obs.xy, obs.time + abs(metres) / speed + 2.0
     while math.dist(obs.xy, begin) < abs(metres) and obs.time < until:
         obs = yield Action(linear=math.copysign(speed, metres), grasp=grasp)

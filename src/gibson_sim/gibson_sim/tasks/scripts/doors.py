@@ -1,7 +1,7 @@
-"""Hinged doors: finding them in a scene, changing their hinge and handle, and how a robot pulls one open and drives through. Pure.
+"""Hinged doors: finds them in a scene, modifies their hinge and handle, and plans how a robot pulls one open and drives through. Pure.
 
-A robot grasps the handle and backs up along a ``BackingPath`` while its gripper follows the handle about the hinge. The slant at which
-it pulls is the angle between its direction and the normal of the leaf. ``doorway`` finds a slant for which there is room.
+A robot grasps the handle and backs up along a ``BackingPath`` while its gripper follows the handle about the hinge. The slant is the angle
+between the direction of pulling and the normal of the leaf. ``doorway`` finds a slant for which there is room.
 """
 
 from __future__ import annotations
@@ -34,72 +34,72 @@ XY = tuple[float, float]
 REACH = 0.66
 """Distance from the base to the tool, straight ahead, while a robot holds a handle, metres."""
 PULL_SPEED = 0.12
-"""Speed at which it pulls the handle, m/s."""
+"""Speed of the handle while it is pulled, m/s."""
 LEAVE = 0.3
-"""Distance that it then backs away from the handle, metres."""
+"""Distance by which the robot then backs away from the handle, metres."""
 WIDE = math.radians(86.0)
-"""Opening to which a robot pulls a door that has the room: at 90 degrees the simulation releases the handle in the middle of the pull."""
+"""Largest opening to which a robot pulls a door: at 90 degrees the simulation releases the handle during the pull."""
 LEAST = math.radians(75.0)
-"""Least opening: a door that has no room to open so wide is left alone."""
+"""Minimum opening: doors without room to open so wide are not used."""
 AWAY = (0.9, 2.4)
-"""Least and greatest distance of start and goal from the plane of the closed door, metres."""
+"""Minimum and maximum distance of start and goal from the plane of the closed door, metres."""
 LEAST_SLANT = math.radians(-52.0)
-"""Least slant: turned farther towards the edge of the leaf, the gripper would press against it."""
+"""Minimum slant: at smaller slants the gripper would press against the edge of the leaf."""
 _SLANTS = tuple(math.radians(angle) for angle in (45.0, 40.0, 35.0, 30.0, 25.0, 20.0))
-"""Slants that are tried."""
+"""Candidate slants."""
 _LEVER, _OFF_LEAF = 0.05, 0.063
-"""Where a lever is held: distance from its axis along the leaf towards the hinge, and off the mid-plane of the leaf, metres."""
+"""Grasp point on a lever: distance from its axis along the leaf towards the hinge, and from the mid-plane of the leaf, metres."""
 _SHORT = 0.07
-"""Distance from there to the tool, metres: nearer, the palm would press against the lever."""
+"""Distance from the grasp point to the tool, metres: nearer, the palm would press against the lever."""
 _FARTHEST = 3.2
-"""Greatest distance of start and goal from the centre of the doorway, metres."""
+"""Maximum distance of start and goal from the centre of the doorway, metres."""
 _BESIDE = 0.05
 """Clearance of the base while it pulls, metres."""
 _WALL = 0.14
-"""Distance from the plane of the closed door within which the leaf swings inside the doorway, metres."""
+"""Distance from the plane of the closed door within which the leaf is inside the doorway, metres."""
 _THICK = 0.03
 """Half the thickness of a leaf, with a margin, metres."""
 _SNAP = 0.35
-"""Greatest distance from a place to the region that it belongs to, metres."""
+"""Maximum distance from a position to its region, metres."""
 _STEP = math.radians(2.0)
-"""Increment of the opening in the search for obstacles."""
+"""Increment of the opening in the search for obstacles, radians."""
 _TALLEST_CABINET = 1.6
-"""Height below which a swinging leaf is no door, metres."""
+"""Minimum height of a door leaf, metres: lower leaves belong to cabinets."""
 _UPRIGHT = 0.99
-"""Least z of the unit axis of an upright hinge."""
+"""Minimum absolute z of the unit axis of a vertical hinge."""
 _GRIPS = ("handle", "knob")
-"""Words in the names of links that are handles."""
+"""Words in the names of handle links."""
 
 
 @dataclass(frozen=True, slots=True)
 class HingedDoor:
-    """A door with an upright hinge and a handle. Coordinates are x, y of the world frame, metres."""
+    """A door with a vertical hinge and a handle. Coordinates are x, y of the world frame, metres."""
 
     body: str
     """Name of the body."""
     leaf: str
-    """Full name of the link that swings, ``<body>/<link>``."""
+    """Full name of the door leaf's link, ``<body>/<link>``."""
     handle: str
-    """Full name of the link to hold."""
+    """Full name of the handle's link."""
     closed: Pose
     """T_world_leaf of the closed door."""
     hinge: XY
-    """Axis of the hinge."""
+    """Position of the hinge axis, metres."""
     radius: float
-    """Distance from the hinge to the axis of the handle."""
+    """Distance from the hinge to the axis of the handle, metres."""
     bearing: float
     """Direction from the hinge to the handle of the closed door, radians."""
     sense: float
-    """1 = it opens counter-clockwise seen from above, -1 = clockwise."""
+    """Direction of opening in top view: 1 = counter-clockwise, -1 = clockwise."""
     stop: float
-    """Greatest opening, radians."""
+    """Maximum opening, radians."""
     width: float
-    """Distance from the hinge to the far edge of the leaf."""
+    """Distance from the hinge to the far edge of the leaf, metres."""
     handle_z: float
     """Height of the handle, world frame, metres."""
 
     def at(self, opening: float, radius: float | None = None) -> XY:
-        """Returns the point of the leaf at ``radius`` from the hinge (None = the handle) when the door is open by ``opening`` radians."""
+        """Returns the point of the leaf at ``radius`` metres from the hinge (None = the handle) for an opening in radians."""
         angle, length = self.bearing + self.sense * opening, self.radius if radius is None else radius
         return self.hinge[0] + length * math.cos(angle), self.hinge[1] + length * math.sin(angle)
 
@@ -109,10 +109,10 @@ class HingedDoor:
         return self.bearing + self.sense * math.pi / 2.0
 
     def towards(self, opening: float, slant: float) -> float:
-        """Returns the direction from the handle to a robot that pulls, radians.
+        """Returns the direction from the handle to the pulling robot, radians.
 
         Args:
-            opening: of the door, radians.
+            opening: opening of the door, radians.
             slant: angle from the normal of the leaf towards the hinge, radians.
         """
         return self.outwards + self.sense * (opening + slant)
@@ -125,32 +125,32 @@ class HingedDoor:
         return x, y
 
     def stance(self, opening: float, slant: float, reach: float = REACH) -> XY:
-        """Returns the position of the base that grasps the handle, ``reach`` metres before the tool, which it faces."""
+        """Returns the position of the base for grasping the handle, ``reach`` metres from the tool, which it faces."""
         (x, y), angle = self.grip(opening, slant), self.towards(opening, slant)
         return x + reach * math.cos(angle), y + reach * math.sin(angle)
 
     def slant(self, opening: float, tool: XY, base: XY) -> float:
-        """Returns the slant at which a base at ``base`` pulls with its tool at ``tool``."""
+        """Returns the slant of pulling with the base at ``base`` and the tool at ``tool``, radians."""
         angle = math.atan2(base[1] - tool[1], base[0] - tool[0]) - self.towards(opening, 0.0)
         return self.sense * math.remainder(angle, 2.0 * math.pi)
 
     def off(self, along: float, away: float) -> XY:
-        """Returns the point ``along`` metres from the hinge on the closed leaf, and ``away`` metres off it on the side to which it opens."""
+        """Returns the point ``along`` metres from the hinge along the closed leaf and ``away`` metres from it, on the side to which it opens."""
         x, y = self.at(0.0, along)
         return x + away * math.cos(self.outwards), y + away * math.sin(self.outwards)
 
     def away(self, points: F64) -> F64:
-        """Returns (N,): distances of points (N, 2) from the plane of the closed leaf; positive on the side to which it opens."""
+        """Returns the signed distances, (N,), of points (N, 2) from the plane of the closed leaf, metres; positive on the side of opening."""
         return np.asarray((points - np.array(self.hinge)) @ [math.cos(self.outwards), math.sin(self.outwards)])
 
     def opening(self, obs: Observation) -> float:
-        """Returns the opening at an observation, radians."""
+        """Returns the opening in an observation, radians."""
         a, b = np.array(self.closed.quat_xyzw), np.array(obs.links[self.leaf].quat_xyzw)
         return 2.0 * math.acos(min(1.0, abs(float(a @ b))))
 
 
 def hinged_door(body: BodySpec) -> HingedDoor | None:
-    """Returns the door of a body; None = it is none: it is movable, too low, or has no upright hinge or no handle."""
+    """Returns the door of a body; None = not a door: movable, too low, without vertical hinge or without handle."""
     hinge = next((joint for joint in body.model.joints if joint.parent == body.model.root and joint.kind == "revolute"), None)
     if not body.static or hinge is None or not hinge.is_bounded:
         return None
@@ -178,12 +178,12 @@ def hinged_door(body: BodySpec) -> HingedDoor | None:
 
 
 def scene_doors(scene: SceneSpec) -> tuple[HingedDoor, ...]:
-    """Returns the doors of a scene, in its order."""
+    """Returns the doors of a scene, in the order of its bodies."""
     return tuple(door for door in map(hinged_door, scene.bodies) if door is not None)
 
 
 def leaf_outline(door: HingedDoor, opening: float) -> F64:
-    """Returns the corners (4, 2) of the leaf seen from above, without handles, open by ``opening`` radians; world frame, metres."""
+    """Returns the corners (4, 2) of the leaf in top view, without handles, for an opening in radians; world frame, metres."""
     end = np.array(door.at(opening, door.width))
     across = _THICK * np.array([-math.sin(door.bearing + door.sense * opening), math.cos(door.bearing + door.sense * opening)])
     hinge = np.array(door.hinge)
@@ -191,13 +191,13 @@ def leaf_outline(door: HingedDoor, opening: float) -> F64:
 
 
 def _handle(model: UrdfModel, leaf: str) -> str | None:
-    """Returns the name of the handle link on a leaf; None = there is none."""
+    """Returns the name of the handle link on a leaf; None = no handle."""
     children = (joint.child for joint in model.joints if joint.parent == leaf)
     return next((link for link in children if any(word in link for word in _GRIPS)), None)
 
 
 def _corners(model: UrdfModel, link: str, T_world_link: Mat4) -> F64:
-    """Returns the corners (N, 3) of the collision boxes of a link, world frame, metres; its origin if it has none."""
+    """Returns the corners (N, 3) of the collision boxes of a link, world frame, metres; its origin if it has no boxes."""
     signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     boxes = [c for c in model.link(link).collisions if c.shape.kind == "box"]
     points = [transform_points(T_world_link @ matrix_from_pose(box.pose), signs * np.array(box.shape.size)) for box in boxes]
@@ -210,7 +210,7 @@ _PLATE = """<visual><origin rpy="1.570796 0 0"/><geometry><cylinder radius="0.02
 
 @dataclass(frozen=True, slots=True)
 class DoorChange:
-    """Values that replace those of a door's model."""
+    """Values that replace those of a door model."""
 
     handle_height: float
     """Height above the root link, metres."""
@@ -225,10 +225,10 @@ class DoorChange:
 def changed_door(urdf: Path, change: DoorChange) -> str:
     """Returns the URDF text of a door with another handle height, damping and friction; meshes are ``file://`` URIs.
 
-    The handle gets a round plate at its new height, since the plate on the leaf's mesh stays at the old one.
+    Adds a round plate to the handle at its new height, since the plate in the leaf's mesh remains at the old height.
 
     Args:
-        urdf: file of the door: a hinge joint at the root, the leaf, a handle on the leaf.
+        urdf: URDF file of a door with a hinge joint at the root, a leaf, and a handle on the leaf.
         change: the new values.
     """
     top = copy.deepcopy(ElementTree.parse(urdf).getroot())
@@ -257,9 +257,9 @@ def _linked(joint: ElementTree.Element, tag: str) -> str:
 
 
 def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:
-    """Returns the child element ``tag``, which is created if it is missing."""
-    found = element.find(tag)
-    return ElementTree.SubElement(element, tag) if found is None else found
+    """Returns the child element ``tag``; creates it if it is missing."""
+    child = element.find(tag)
+    return ElementTree.SubElement(element, tag) if child is None else child
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,7 +267,7 @@ class BackingPath:
     """Path of a base that pulls a door open, as a function of the opening."""
 
     openings: F64
-    """(N,), of the door, radians, increasing."""
+    """(N,), openings of the door, radians, increasing."""
     places: F64
     """(N, 2), positions of the base, world frame, metres."""
     yaws: F64
@@ -283,26 +283,26 @@ class BackingPath:
         """Returns forward speed, m/s, and yaw rate, rad/s, of a base that follows the path.
 
         Args:
-            base: its present x, y, yaw.
+            base: current x, y, yaw of the base, metres and radians.
             opening: next opening of the door, radians.
         """
         dx, dy = (float(np.interp(opening, self.openings, self.places[:, k])) - base[k] for k in range(2))
         c, s = math.cos(base[2]), math.sin(base[2])
         ahead, left = c * dx + s * dy, c * dy - s * dx
-        # While it backs up, a base that turns right moves left.
+        # A base that turns right while backing up moves left.
         heading = float(np.interp(opening, self.openings, self.yaws)) - max(-0.3, min(0.3, 2.0 * left))
-        turn = 1.5 * math.remainder(heading - base[2], 2.0 * math.pi)
-        return max(-0.25, min(0.2, 1.5 * ahead)), max(-0.5, min(0.5, turn))
+        yaw_rate = 1.5 * math.remainder(heading - base[2], 2.0 * math.pi)
+        return max(-0.25, min(0.2, 1.5 * ahead)), max(-0.5, min(0.5, yaw_rate))
 
 
 def backing_path(door: HingedDoor, slant: float, wide: float, opening: float = 0.0) -> BackingPath:
-    """Returns the path of a base that pulls a door open without lag: it keeps its distance to its gripper, and faces it.
+    """Returns the path of a base that pulls a door open without lag: it keeps a constant distance to the gripper, and faces it.
 
     Args:
         door: the door.
-        slant: at which the robot grasps the handle, see ``HingedDoor.towards``.
-        wide: opening at the end, radians; less where the gripper would press against the edge of the leaf.
-        opening: of the door at the beginning, radians.
+        slant: slant at which the robot grasps the handle, see ``HingedDoor.towards``.
+        wide: opening at the end, radians; smaller if the gripper would press against the edge of the leaf.
+        opening: opening of the door at the start, radians.
     """
     grip = np.array(door.grip(opening, slant)) - np.array(door.hinge)
     radius, first = float(np.hypot(*grip)), math.atan2(grip[1], grip[0]) - door.sense * opening
@@ -310,8 +310,8 @@ def backing_path(door: HingedDoor, slant: float, wide: float, opening: float = 0
     path = [(opening, x, y, yaw)]
     while opening < wide:
         opening += 0.1 * PULL_SPEED / radius
-        at = first + door.sense * opening
-        hand = door.hinge[0] + radius * math.cos(at), door.hinge[1] + radius * math.sin(at)
+        bearing = first + door.sense * opening
+        hand = door.hinge[0] + radius * math.cos(bearing), door.hinge[1] + radius * math.sin(bearing)
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = hand[0] - x, hand[1] - y
         linear = 1.5 * (math.hypot(dx, dy) - REACH)
@@ -326,7 +326,7 @@ def backing_path(door: HingedDoor, slant: float, wide: float, opening: float = 0
 
 @dataclass(frozen=True)
 class Doorway:
-    """A door that a robot can pull open, between two regions that nothing else connects."""
+    """A door that a robot can pull open, and that is the only connection of two regions."""
 
     door: HingedDoor
     ground: Ground
@@ -334,11 +334,11 @@ class Doorway:
     slant: float
     """Slant at which the handle is grasped, see ``HingedDoor.towards``."""
     wide: float
-    """Opening to which it is pulled, radians."""
+    """Opening to which the door is pulled, radians."""
     near: Bools
-    """(H, W): where a robot may start, on the side to which the door opens."""
+    """(H, W), mask of start positions, on the side to which the door opens."""
     far: Bools
-    """(H, W): where its goal may be, on the other side."""
+    """(H, W), mask of goal positions, on the other side."""
 
 
 def with_bodies(ground: Ground, without: Collection[str]) -> Ground:
@@ -357,51 +357,52 @@ def doorway(ground: Ground, door: HingedDoor, without: Collection[str] = ()) -> 
 
     Args:
         ground: the floor and the robot.
-        door: the door at its place.
+        door: the door.
         without: names of bodies of the scene that are removed.
     """
     if abs(door.closed.position[2] - ground.floor.floor_z) > FLOOR_TOLERANCE:
         return None
-    there = with_bodies(ground, without)
-    openings = {slant: _widest_opening(there, door, slant) for slant in _SLANTS}
+    furnished = with_bodies(ground, without)
+    openings = {slant: _widest_opening(furnished, door, slant) for slant in _SLANTS}
     slant = max(openings, key=lambda angle: openings[angle])
     wide = openings[slant]
     if wide < LEAST:
         return None
-    shut, opened = (there.parts([leaf_outline(door, opening)]) for opening in (0.0, wide))
-    before, behind = door.stance(0.0, slant), door.off(door.width / 2.0, -AWAY[0])
-    near, far = (_region_at(shut, there.floor, place) for place in (before, behind))
-    if not near or not far or near == far or _region_at(opened, there.floor, before) != _region_at(opened, there.floor, behind):
+    floor = furnished.floor
+    closed, opened = (furnished.parts([leaf_outline(door, opening)]) for opening in (0.0, wide))
+    front, back = door.stance(0.0, slant), door.off(door.width / 2.0, -AWAY[0])
+    near, far = (_region_at(closed, floor, position) for position in (front, back))
+    if not near or not far or near == far or _region_at(opened, floor, front) != _region_at(opened, floor, back):
         return None
-    centers = there.floor.centers(np.indices(there.floor.shape).transpose(1, 2, 0)).reshape(-1, 2)
-    away = door.away(centers).reshape(there.floor.shape)
-    close = np.linalg.norm(centers - np.array(door.off(door.width / 2.0, 0.0)), axis=1).reshape(away.shape) < _FARTHEST
+    centers = floor.centers(np.indices(floor.shape).transpose(1, 2, 0)).reshape(-1, 2)
+    distance = door.away(centers).reshape(floor.shape)
+    close = np.linalg.norm(centers - np.array(door.off(door.width / 2.0, 0.0)), axis=1).reshape(distance.shape) < _FARTHEST
     regions = [
-        np.asarray((shut == label) & close & (side * away > AWAY[0]) & (side * away < AWAY[1]))
+        np.asarray((closed == label) & close & (side * distance > AWAY[0]) & (side * distance < AWAY[1]))
         for label, side in ((near, 1.0), (far, -1.0))
     ]
-    return Doorway(door, there, slant, wide, regions[0], regions[1]) if all(region.any() for region in regions) else None
+    return Doorway(door, furnished, slant, wide, regions[0], regions[1]) if all(region.any() for region in regions) else None
 
 
 def _widest_opening(ground: Ground, door: HingedDoor, slant: float) -> float:
-    """Returns the opening to which a robot can pull a door before it or the leaf touches something, radians."""
+    """Returns the largest opening to which a robot can pull a door without contact of the robot or the leaf with an obstacle, radians."""
     path = backing_path(door, slant, min(WIDE, door.stop - _STEP))
     clear = ground.floor.clearance(np.concatenate([path.places, path.leaving])) >= ground.robot.radius + _BESIDE
     last = len(path.openings) - 1
-    most = float(path.openings[last if clear.all() else min(last, max(0, int(clear.argmin()) - 1))])
+    widest = float(path.openings[last if clear.all() else min(last, max(0, int(clear.argmin()) - 1))])
     radii = np.arange(0.15, door.width, ground.floor.resolution / 2.0)
-    for opening in np.arange(0.0, most, _STEP):
+    for opening in np.arange(0.0, widest, _STEP):
         points = np.array([door.at(float(opening), float(radius)) for radius in radii])
         cells = ground.floor.cells(points[door.away(points) > _WALL])
         if ground.floor.occupied[cells[:, 0], cells[:, 1]].any():
             return max(0.0, float(opening) - 2.0 * _STEP)
-    return most
+    return widest
 
 
-def _region_at(labels: NDArray[np.int32], floor: FloorMap, place: XY) -> int:
-    """Returns the label of the region nearest to a place; 0 = none is within ``_SNAP``."""
+def _region_at(labels: NDArray[np.int32], floor: FloorMap, position: XY) -> int:
+    """Returns the label of the region nearest to a position; 0 = no region within ``_SNAP``."""
     cells = np.argwhere(labels)
-    distances = np.linalg.norm(floor.centers(cells) - np.array(place), axis=1)
+    distances = np.linalg.norm(floor.centers(cells) - np.array(position), axis=1)
     if not len(cells) or distances.min() > _SNAP:
         return 0
     return int(labels[tuple(cells[int(distances.argmin())])])

@@ -1,4 +1,4 @@
-"""A scripted driver: plans a path, follows it, and backs off where it is stuck. Pure: an observation goes in, speeds come out."""
+"""A scripted driver: plans a path, follows it, and backs up when it is stuck. Pure: maps observations to speeds."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from gibson_sim.tasks.ground import Ground, footprint
 from gibson_sim.types import Pose
 
 STUCK_S = 2.5
-"""Time after which a robot is stuck that moved less than ``STUCK_M`` and turned less than ``STUCK_RAD``, seconds."""
+"""Time without progress after which a robot counts as stuck, seconds."""
 STUCK_M, STUCK_RAD = 0.08, 0.3
-"""Metres and radians."""
+"""Motion, metres, and rotation, radians, that count as progress."""
 BACK_S, BACK_MOST_S = 1.5, 4.0
-"""Duration of the first and of the longest backing off, seconds: half a second more each time."""
+"""Durations of the first and of the longest backing up, seconds; it increases by half a second each time."""
 PLAN_AGAIN_S = 5.0
-"""Time between attempts to plan while there is no path, seconds."""
+"""Time between planning attempts while no path exists, seconds."""
 _IN_FRONT_M = 0.35
-"""Greatest distance from the robot's rim to the centre of an item that it is stuck at, metres."""
+"""Largest distance from the robot's outline to the centre of an item at which it is stuck, metres."""
 _BACK_SPEED = -0.2
 _LOOKAHEAD = 0.25
 
 
 class Driver:
-    """Drives to a place: around items where there is a path, else pushing through them.
+    """Drives to a goal: around items if a path exists, else pushing through them.
 
     Args:
         ground: the floor and the robot.
         goal: world x, y, metres.
-        items: movable items that may lie in the way.
-        around: avoid items where there is a path; False = ignore them.
-        pushes: push items that leave no path; False = stop there.
+        items: movable items that may be obstacles.
+        around: avoid items if a path exists; False = ignore them.
+        pushes: push items that leave no path; False = stop in front of them.
         obstacles: outlines (4, 2), world frame, metres, that are always avoided.
         near: distance to the goal within which it is reached, metres; 0 = at the end of the path.
-        max_linear: greatest speed, m/s.
+        max_linear: largest speed, m/s.
     """
 
     def __init__(
@@ -66,13 +66,13 @@ class Driver:
         self._mark = (0.0, (math.inf, math.inf), 0.0)
         self._times_stuck = 0
         self._jammed: set[str] = set()
-        """Root links of the items that did not give way."""
+        """Root links of the items that could not be pushed."""
         self._plan_from = -math.inf
         self.blocked = False
-        """Whether there is no path."""
+        """Whether no path exists."""
 
     def done(self, obs: Observation) -> bool:
-        """Whether the goal is reached."""
+        """Returns whether the goal is reached."""
         if self._near:
             return obs.distance_to(self._goal) <= self._near
         return self._follower is not None and self._follower.done
@@ -106,24 +106,24 @@ class Driver:
         return obs.time - since > STUCK_S
 
     def _in_front(self, obs: Observation) -> set[str]:
-        """Returns the root links of the items right in front of the robot."""
-        found = set()
+        """Returns the root links of the items directly in front of the robot."""
+        roots = set()
         for root in self._models:
             ahead, left = obs.in_base(obs.links[root].position)
             if 0.0 < ahead < self._ground.robot.radius + _IN_FRONT_M and abs(left) < self._ground.robot.radius + 0.1:
-                found.add(root)
-        return found
+                roots.add(root)
+        return roots
 
     def _plan(self, obs: Observation) -> None:
-        """Plans a path: around all items, else around those that did not give way, else straight through."""
-        every, jammed = set(self._models), set(self._jammed)
-        attempts = [every] if self._around else []
+        """Plans a path: around all items, else around those that could not be pushed, else through all items."""
+        all_items, jammed = set(self._models), set(self._jammed)
+        attempts = [all_items] if self._around else []
         if self._pushes:
             attempts += [jammed, set()]
         for avoided in attempts:
-            lying = [footprint(model, obs.links[root]) for root, model in self._models.items() if root in avoided]
+            footprints = [footprint(model, obs.links[root]) for root, model in self._models.items() if root in avoided]
             try:
-                path = self._ground.planner_around([*self._obstacles, *lying]).path(obs.xy, self._goal)
+                path = self._ground.planner_around([*self._obstacles, *footprints]).path(obs.xy, self._goal)
             except SceneError:
                 continue
             if not avoided:
@@ -142,5 +142,5 @@ def turn_towards(obs: Observation, yaw: float, fastest: float = 1.2) -> float:
 
 
 def pose_xy(pose: Pose) -> tuple[float, float]:
-    """Returns x, y of a pose."""
+    """Returns x, y of a pose, metres."""
     return pose.position[0], pose.position[1]
