@@ -324,7 +324,7 @@ def test_a_camera_whose_holes_cannot_be_filled_ends_the_node_with_one_line(rig: 
     render = rig.render()
     rig.load(_scene(replace(EYE, fill=str(network))), ready=False)
     rig.spin_until(lambda: render._failure is not None, "the failure")
-    with pytest.raises(ConfigError, match=r"network\.onnx is no ONNX file, or is cut"):
+    with pytest.raises(ConfigError, match=r"network\.onnx is not an ONNX file, or is truncated"):
         render.spin()
 
 

@@ -66,10 +66,10 @@ def _external() -> bytes:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", r"network\.onnx is no network that onnxruntime runs: "),
-        (b"GIF89a and so on", r"network\.onnx is no ONNX file, or is cut"),
-        (our_network()[:-60], r"network\.onnx is no ONNX file, or is cut"),
-        (_external(), r"network\.onnx keeps its weights in other files, which are not read"),
+        (b"", r"onnxruntime cannot load .*network\.onnx: "),
+        (b"GIF89a and so on", r"network\.onnx is not an ONNX file, or is truncated"),
+        (our_network()[:-60], r"network\.onnx is not an ONNX file, or is truncated"),
+        (_external(), r"network\.onnx has its weights in other files, which are not read"),
         (our_network(channels=5), r"network\.onnx has inputs .input tensor\(float\) \[1, 5, .*must be one of: ours, input \(1, 9, H, W\)"),
         (our_network(version="2"), r"network\.onnx was made for version '2' of the filler, this is 1"),
         (our_network(nan=True), r"network\.onnx: its output holds a NaN or an infinity"),

@@ -1,1 +1,1 @@
-"""Fills the holes of images: what a scan does not have is made up from what is around it, or by a network. Knows neither ROS nor OpenGL."""
+"""Fills holes in images of scans, from the surrounding pixels or with a network. Imports neither ROS nor OpenGL."""

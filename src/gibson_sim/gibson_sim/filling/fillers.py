@@ -1,4 +1,4 @@
-"""What fills the holes of a camera's images, by the name that ``CameraSpec.fill`` gives it."""
+"""Fillers: methods that fill holes in camera images, selected by ``CameraSpec.fill``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.filling.push_pull import push_pull_depth
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 LEARNED = Path(__file__).with_name("models") / "filler.onnx"
-"""The network in the package."""
+"""The network that ships with the package."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +27,7 @@ class Filled:
     colour: U8
     """(H, W, 3), sRGB."""
     depth: F32 | None = None
-    """(H, W), metres, +inf = nothing; equal to what was drawn outside of holes; None = not requested."""
+    """(H, W), metres, +inf = nothing; equal to the rendered depth outside holes; None = not requested."""
 
 
 class Filler(Protocol):
@@ -37,11 +37,11 @@ class Filler(Protocol):
         """Returns an image without holes.
 
         Args:
-            colour: (H, W, 3), sRGB, as drawn.
+            colour: (H, W, 3), sRGB, as rendered.
             depth: (H, W), metres, +inf = nothing.
             normals: (H, W, 3), optical frame, facing the camera, 0 = nothing.
             hole: (H, W), as ``Frame.hole``.
-            with_depth: fill depth, too.
+            with_depth: also fill depth.
 
         Raises:
             ConfigError: a network cannot be run.
@@ -49,27 +49,27 @@ class Filler(Protocol):
 
 
 class PushPull:
-    """Fills holes by push-pull: only they change."""
+    """Fills holes by push-pull; other pixels do not change."""
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
-        """As in ``Filler``."""
+        """See ``Filler``."""
         return Filled(filled_colour(colour, hole), push_pull_depth(depth, is_hole(hole)) if with_depth else None)
 
 
 def open_filler(fill: str) -> Filler:
-    """Returns what fills holes.
+    """Returns the filler of a name or file.
 
     Args:
         fill: ``push_pull``, ``learned``, or the path of an ONNX file.
 
     Raises:
-        ConfigError: the network is missing, or no network that is known; or onnxruntime is not installed.
+        ConfigError: the network is missing or of an unknown kind, or onnxruntime is not installed.
     """
     if fill == "push_pull":
         return PushPull()
     if fill == "learned" and not LEARNED.is_file():
         raise ConfigError("fill: this installation has no learned network; give push_pull, or the path of an ONNX file")
-    # onnxruntime takes half a second to load, so only those who need it do.
+    # onnxruntime takes half a second to import, so it is only imported if needed.
     from gibson_sim.filling.network import open_network
 
     return open_network(LEARNED if fill == "learned" else Path(fill))

@@ -1,4 +1,4 @@
-"""What a pixel of a hole image (``Frame.hole``) says."""
+"""Pixel values of a hole image (``Frame.hole``)."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 SURFACE = 0
-"""The front of a surface is seen."""
+"""The front face of a surface is visible."""
 NOTHING = 1
 """Nothing is drawn: the ray meets no surface."""
 BACK_FACE = 2
-"""The back of an opaque surface of the world is seen: of a scan, what lies behind a wall that is missing."""
+"""The back face of an opaque surface of the world is visible, for example through a missing wall of a scan."""
 UNSEEN = 3
-"""No surface and no hole: outside the lens's view, or the sky of a scene that has one."""
+"""No surface and no hole: outside the field of view of the lens, or sky if the scene has one."""
 
 
 def is_hole(hole: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Returns which pixels of a hole image, (H, W), are holes."""
+    """Returns the mask of the holes in a hole image (H, W)."""
     return np.asarray((hole == NOTHING) | (hole == BACK_FACE))

@@ -1,4 +1,4 @@
-"""The input of our filling networks. Those who train and those who draw make it here, so that a network sees in use what it was trained on."""
+"""Input of our filling networks. Training and rendering share this code, so that a network gets the same input in both."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ U8 = NDArray[np.uint8]
 CHANNELS = 9
 """Number of channels of the input."""
 NEAREST_M = 0.2
-"""Smaller depths count as this one, metres."""
+"""Smaller depths are clamped to this one, metres."""
 _MOST = np.float32(1.0 / NEAREST_M)
 _ONE, _UNIT = np.float32(1.0), np.float32(1.0 / 255.0)
 
 
 def filled_colour(colour: U8, hole: U8) -> U8:
-    """Returns an image, (H, W, 3) sRGB, with its holes closed by push-pull.
+    """Returns an image, (H, W, 3) sRGB, with its holes filled by push-pull.
 
     Args:
         colour: (H, W, 3), sRGB.
@@ -34,20 +34,20 @@ def network_input(colour: U8, depth: F32, normals: F32, hole: U8, *, loops: bool
     """Returns the input of a network, (1, 9, H, W).
 
     Channels: 0 to 2 the colours after push-pull, sRGB, 0 to 1; 3 inverse depth, 1/m, at most 5, 0 = nothing; 4 to 6 normals in the
-    optical frame (x right, y down, z forward), 0 in holes; 7 hole, 1 where nothing is drawn or a back face is seen; 8 back face.
+    optical frame (x right, y down, z forward), 0 in holes; 7 hole, 1 where nothing is drawn or a back face is visible; 8 back face.
 
     Args:
-        colour: (H, W, 3), sRGB, as drawn.
+        colour: (H, W, 3), sRGB, as rendered.
         depth: (H, W), metres, +inf = nothing.
         normals: (H, W, 3), optical frame, facing the camera, 0 = nothing.
         hole: (H, W), as ``Frame.hole``.
-        loops: by compiled loops instead of NumPy; the values are the same.
+        loops: use compiled loops instead of NumPy; the values are the same.
     """
     return packed(filled_colour(colour, hole), depth, normals, hole, loops=loops)
 
 
 def packed(filled: U8, depth: F32, normals: F32, hole: U8, *, loops: bool = CAN_COMPILE) -> F32:
-    """Returns the same of an image that is filled already; for arguments see ``network_input``."""
+    """Returns the input of a network for an image that is already filled; see ``network_input`` for the arguments."""
     if loops:
         return _packed_loop(fixed(filled), fixed(depth), fixed(normals), fixed(hole))
     out = np.zeros((1, CHANNELS, *hole.shape), dtype=np.float32)

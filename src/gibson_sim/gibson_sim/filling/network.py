@@ -1,4 +1,4 @@
-"""Networks that fill holes, in ONNX files: ours, and inpainting networks of others (MI-GAN, as its authors export it)."""
+"""Networks that fill holes, in ONNX files: ours, and MI-GAN as exported by its authors."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from gibson_sim.quoting import quoted
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 MULTIPLE = 16
-"""Images are widened to multiples of this many pixels for our networks."""
+"""Images are padded to multiples of this many pixels for our networks."""
 VERSION = "1"
-"""Value of ``gibson_filler`` in the metadata of a file: the version of its input."""
+"""Value of ``gibson_filler`` in the metadata of a file: the version of the input format."""
 _LEAST_INVERSE = np.float32(1e-3)
-"""Smaller inverse depths count as this one, 1/m."""
+"""Smaller inverse depths are clamped to this one, 1/m."""
 _CONTRACTS = (
     f"ours, input (1, {CHANNELS}, H, W) and output image (1, 3, H, W); MI-GAN's pipeline, image (1, 3, H, W) and mask (1, 1, H, W), uint8; or "
     "its generator, (1, 4, R, R) to (1, 3, R, R): see docs/filler.md"
@@ -33,10 +33,10 @@ _CONTRACTS = (
 
 
 def open_network(file: Path) -> GibsonNetwork | MiGanPipeline | MiGanGenerator:
-    """Returns the network in a file, by the shapes of its inputs.
+    """Returns the network in a file; its kind follows from the shapes of its inputs.
 
     Raises:
-        ConfigError: onnxruntime is not installed, or the file holds none of the networks that are known.
+        ConfigError: onnxruntime is not installed, or the file has no network of a supported kind.
     """
     session = open_session(file)
     inputs, outputs = session.get_inputs(), session.get_outputs()
@@ -46,7 +46,7 @@ def open_network(file: Path) -> GibsonNetwork | MiGanPipeline | MiGanGenerator:
         version = session.get_modelmeta().custom_metadata_map.get("gibson_filler", VERSION)
         if version != VERSION:
             raise ConfigError(
-                f"{file} was made for version {quoted(version)} of the filler, this is {VERSION}; train or fetch it anew"
+                f"{file} was made for version {quoted(version)} of the filler, this is {VERSION}; train or fetch it again"
             )
         if _fits((outputs[0].type, tuple(outputs[0].shape)), "tensor(float)", 3):
             return GibsonNetwork(file, session)
@@ -61,7 +61,7 @@ def open_network(file: Path) -> GibsonNetwork | MiGanPipeline | MiGanGenerator:
 
 
 def _fits(value: tuple[str, tuple[Any, ...]], kind: str, channels: int) -> bool:
-    """Returns whether an input or output has an element type and four dimensions with so many channels."""
+    """Returns whether an input or output has the element type, four dimensions and the number of channels."""
     return (
         value[0] == kind
         and len(value[1]) == 4
@@ -71,12 +71,12 @@ def _fits(value: tuple[str, tuple[Any, ...]], kind: str, channels: int) -> bool:
 
 
 def _named_sizes(sizes: tuple[Any, ...]) -> tuple[str, ...]:
-    """Returns the sizes that are free and have a name."""
+    """Returns the dynamic sizes, which have a name."""
     return tuple(size for size in sizes if isinstance(size, str))
 
 
 class GibsonNetwork:
-    """A network of ours: it corrects the whole image, and fills depth too if it has a second output."""
+    """Our network: corrects the whole image, and also fills depth if it has a second output."""
 
     def __init__(self, file: Path, session: Any) -> None:
         self._file, self._session = file, session
@@ -84,31 +84,31 @@ class GibsonNetwork:
         self._has_depth = len(session.get_outputs()) > 1
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
-        """As in ``Filler``."""
+        """See ``Filler``."""
         height, width = hole.shape
         values = packed(filled_colour(colour, hole), depth, normals, hole)
-        beyond = ((0, 0), (0, 0), (0, -height % MULTIPLE), (0, -width % MULTIPLE))
-        values = np.pad(values, beyond, mode="edge") if height % MULTIPLE or width % MULTIPLE else values
-        found = run(self._session, self._file, {self._name: values})
-        image = _planes(found[0], self._file, (1, 3, *values.shape[2:]))[0, :, :height, :width]
+        padding = ((0, 0), (0, 0), (0, -height % MULTIPLE), (0, -width % MULTIPLE))
+        values = np.pad(values, padding, mode="edge") if height % MULTIPLE or width % MULTIPLE else values
+        outputs = run(self._session, self._file, {self._name: values})
+        image = _planes(outputs[0], self._file, (1, 3, *values.shape[2:]))[0, :, :height, :width]
         out = _bytes(image)
         np.copyto(out, colour, where=(hole == UNSEEN)[:, :, None])
         if not with_depth:
             return Filled(out)
         if not self._has_depth:
             return Filled(out, push_pull_depth(depth, is_hole(hole)))
-        inverse = _planes(found[1], self._file, (1, 1, *values.shape[2:]))[0, 0, :height, :width]
+        inverse = _planes(outputs[1], self._file, (1, 1, *values.shape[2:]))[0, 0, :height, :width]
         return Filled(out, np.where(is_hole(hole), np.float32(1.0) / np.maximum(inverse, _LEAST_INVERSE), depth))
 
 
 class MiGanPipeline:
-    """MI-GAN with its pre- and postprocessing: colours as bytes and a mask, 255 = known, to colours as bytes."""
+    """MI-GAN with its pre- and postprocessing: colours and mask (255 = known) to colours, all uint8."""
 
     def __init__(self, file: Path, session: Any) -> None:
         self._file, self._session = file, session
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
-        """As in ``Filler``."""
+        """See ``Filler``."""
 
         def inpainted() -> U8:
             known = np.where(is_hole(hole), 0, 255).astype(np.uint8)
@@ -118,18 +118,18 @@ class MiGanPipeline:
                 raise _wrong_output(self._file, image, (1, 3, *hole.shape), "uint8")
             return np.asarray(image[0].transpose(1, 2, 0), dtype=np.uint8)
 
-        return _composed(inpainted, colour, depth, hole, with_depth=with_depth)
+        return _compose(inpainted, colour, depth, hole, with_depth=with_depth)
 
 
 class MiGanGenerator:
-    """MI-GAN alone, of a fixed size: mask - 0.5 (mask 1 = known) and colours from -1 to 1 times the mask, to colours from -1 to 1."""
+    """MI-GAN's generator, of a fixed size: mask - 0.5 (mask 1 = known) and colours (-1 to 1) times the mask to colours (-1 to 1)."""
 
     def __init__(self, file: Path, session: Any, side: int) -> None:
         self._file, self._session, self._side = file, session, side
         self._name = session.get_inputs()[0].name
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
-        """As in ``Filler``."""
+        """See ``Filler``."""
         size = (self._side, self._side)
 
         def inpainted() -> U8:
@@ -140,11 +140,11 @@ class MiGanGenerator:
             large = cv2.resize(_bytes(0.5 * image + 0.5), (hole.shape[1], hole.shape[0]), interpolation=cv2.INTER_LINEAR)
             return np.asarray(large, dtype=np.uint8)
 
-        return _composed(inpainted, colour, depth, hole, with_depth=with_depth)
+        return _compose(inpainted, colour, depth, hole, with_depth=with_depth)
 
 
-def _composed(inpainted: Callable[[], U8], colour: U8, depth: F32, hole: U8, *, with_depth: bool) -> Filled:
-    """Returns an image of which only holes are inpainted; without holes, a copy."""
+def _compose(inpainted: Callable[[], U8], colour: U8, depth: F32, hole: U8, *, with_depth: bool) -> Filled:
+    """Returns an image with its holes inpainted and other pixels unchanged; a copy if there are no holes."""
     holes = is_hole(hole)
     out = np.where(holes[:, :, None], inpainted(), colour) if holes.any() else colour.copy()
     return Filled(out, push_pull_depth(depth, holes) if with_depth else None)
@@ -162,4 +162,4 @@ def _planes(value: NDArray[Any], file: Path, shape: tuple[int, ...]) -> F32:
 
 
 def _wrong_output(file: Path, value: NDArray[Any], shape: tuple[int, ...], kind: str) -> ConfigError:
-    return ConfigError(f"{file}: its output is {value.dtype} {list(value.shape)}, must be {kind} {list(shape)}; export it anew")
+    return ConfigError(f"{file}: its output is {value.dtype} {list(value.shape)}, must be {kind} {list(shape)}; export it again")

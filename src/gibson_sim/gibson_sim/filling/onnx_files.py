@@ -1,4 +1,4 @@
-"""Opens untrusted ONNX files with onnxruntime: nothing is read but the file itself, every failure is one line."""
+"""Opens untrusted ONNX files with onnxruntime: reads only the file itself; each error is one line."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import read_file
 
 MAX_BYTES = 256 << 20
-"""Largest file that is read. LaMa, the largest inpainting network in wide use, has 208 MB; MI-GAN has 28 MB."""
+"""Maximum size of a file, bytes. LaMa, the largest inpainting network in wide use, has 208 MB; MI-GAN has 28 MB."""
 THREADS = 2
-"""Threads of a network. A fixed number, so that images do not depend on how many cores there are."""
+"""Number of threads of a network; fixed, so that images do not depend on the number of cores."""
 INSTALL = "pip install gibson-sim[filler]"
 _MAX_DEPTH = 60
-"""Messages within messages: subgraphs of nodes of subgraphs."""
+"""Maximum nesting depth of messages (subgraphs of nodes of subgraphs)."""
 _CHILDREN: dict[str, dict[int, str]] = {
     "model": {7: "graph", 20: "training", 25: "function"},
     "training": {1: "graph", 2: "graph"},
@@ -27,16 +27,16 @@ _CHILDREN: dict[str, dict[int, str]] = {
     "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
     "sparse": {1: "tensor", 2: "tensor"},
 }
-"""Kind of a message of onnx.proto -> number of a field -> kind of the messages in it, as far as tensors can be in them."""
+"""Kind of a message in onnx.proto -> field number -> kind of the nested message; only those that can contain tensors."""
 _EXTERNAL_DATA, _DATA_LOCATION = 13, 14
-"""Fields of a tensor that send a reader to another file."""
+"""Fields of a tensor that refer to another file."""
 
 
 def open_session(file: Path) -> Any:
-    """Returns a session of onnxruntime for a file: on CUDA where onnxruntime has it, else on the CPU.
+    """Returns an onnxruntime session for a file: on CUDA if onnxruntime supports it, else on the CPU.
 
     Raises:
-        ConfigError: onnxruntime is not installed, or the file holds no network that it runs, or one that reads other files.
+        ConfigError: onnxruntime is not installed or cannot load the file, or its weights are in other files.
     """
     try:
         import onnxruntime
@@ -49,12 +49,12 @@ def open_session(file: Path) -> Any:
     try:
         external = _has_external_data(memoryview(content), "model", 0)
     except (ValueError, IndexError) as error:
-        raise ConfigError(f"{file} is no ONNX file, or is cut; export it anew") from error
+        raise ConfigError(f"{file} is not an ONNX file, or is truncated; export it again") from error
     if external:
-        raise ConfigError(f"{file} keeps its weights in other files, which are not read; export it into one file")
+        raise ConfigError(f"{file} has its weights in other files, which are not read; export it as one file")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = THREADS, 1
-    # Threads that wait would take the cores from physics and from the software renderer.
+    # Spinning threads would take cores from physics and the software renderer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.use_deterministic_compute = True
     options.log_severity_level = 4
@@ -63,31 +63,31 @@ def open_session(file: Path) -> Any:
     ]
     try:
         return onnxruntime.InferenceSession(content, options, providers=providers)
-    except Exception as error:  # of types that onnxruntime does not export
-        raise ConfigError(f"{file} is no network that onnxruntime runs: {_reason(error)}") from error
+    except Exception as error:  # onnxruntime does not export their types
+        raise ConfigError(f"onnxruntime cannot load {file}: {_reason(error)}") from error
 
 
 def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
-    """Returns all outputs.
+    """Returns all outputs of a network.
 
     Raises:
-        ConfigError: the network cannot be run with these inputs, or returns a NaN or an infinity.
+        ConfigError: the network cannot be run with these inputs, or returns NaN or infinity.
     """
     try:
-        found = [np.asarray(value) for value in session.run(None, feeds)]
-    except Exception as error:  # of types that onnxruntime does not export
+        outputs = [np.asarray(value) for value in session.run(None, feeds)]
+    except Exception as error:  # onnxruntime does not export their types
         raise ConfigError(f"{file} cannot be run: {_reason(error)}") from error
-    if not all(np.isfinite(value).all() for value in found if np.issubdtype(value.dtype, np.floating)):
-        raise ConfigError(f"{file}: its output holds a NaN or an infinity; export it anew")
-    return found
+    if not all(np.isfinite(value).all() for value in outputs if np.issubdtype(value.dtype, np.floating)):
+        raise ConfigError(f"{file}: its output holds a NaN or an infinity; export it again")
+    return outputs
 
 
 def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:
-    """Returns whether a message holds a tensor whose values are in another file.
+    """Returns whether a message contains a tensor whose values are in another file.
 
     Raises:
-        ValueError: it is no such message.
-        IndexError: it is cut.
+        ValueError: the message is invalid.
+        IndexError: the message is truncated.
     """
     if depth > _MAX_DEPTH:
         raise ValueError("too deep")
@@ -103,7 +103,7 @@ def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:
         elif wire == 2:
             size, at = _varint(message, at)
             if at + size > len(message):
-                raise IndexError("cut")
+                raise IndexError("truncated")
             if kind == "tensor" and field == _EXTERNAL_DATA:
                 return True
             if field in children and _has_external_data(message[at : at + size], children[field], depth + 1):
@@ -112,9 +112,9 @@ def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:
         elif wire in (1, 5):
             at += 8 if wire == 1 else 4
             if at > len(message):
-                raise IndexError("cut")
+                raise IndexError("truncated")
         else:
-            raise ValueError("no such wire type")
+            raise ValueError("unknown wire type")
     return False
 
 

@@ -1,7 +1,7 @@
 """Fills holes of an image from the pixels around them, by a pyramid: *push-pull* (Gortler et al., The Lumigraph, 1996, section 3.4).
 
-Push: each level is the weighted mean of the finer one under the 5x5 binomial kernel, at half the size, until all pixels are known. Weights
-are multiplied by four and saturate at 1: a quarter of the kernel's pixels makes a pixel known. Pull: from the coarsest level on, each level is
+Pull: each level is the weighted mean of the finer one under the 5x5 binomial kernel, at half the size, until all pixels are known. Weights
+are multiplied by four and saturate at 1: a quarter of the kernel's pixels makes a pixel known. Push: from the coarsest level on, each level is
 blended over the interpolated coarser one by its weights. The smooth kernel and weights keep filled pixels steady when the camera moves.
 Known pixels do not change.
 """
@@ -19,12 +19,12 @@ F32 = NDArray[np.float32]
 Value = TypeVar("Value", np.uint8, np.float32)
 
 _SATURATION = np.float32(4.0)
-"""Factor on the weights from level to level, before they are cut at 1."""
+"""Factor on the weights from level to level, before they saturate at 1."""
 _TINY = np.float32(1e-20)
 
 
 def push_pull(values: NDArray[Value], hole: Bools, known: Bools | None = None) -> NDArray[Value]:
-    """Returns a copy of an image with its holes filled; where nothing at all is known, an unchanged copy.
+    """Returns a copy of an image with its holes filled; an unchanged copy if no pixel is known.
 
     Args:
         values: (H, W) or (H, W, C), uint8 or float32, finite where known.
@@ -57,11 +57,11 @@ def push_pull_depth(depth: F32, hole: Bools) -> F32:
 
 
 def _filled(values: NDArray[Value], known: Bools) -> F32:
-    """Returns the pyramid's image, float32, of all pixels, the known ones unchanged; at least one pixel is known."""
+    """Returns an image, float32, with all unknown pixels filled; at least one pixel must be known."""
     weight = known.astype(np.float32)
     levels = [(_masked(values, known), weight)]
     while levels[-1][1].min() < 1.0 and levels[-1][1].size > 1:
-        levels.append(_pushed(*levels[-1]))
+        levels.append(_pull(*levels[-1]))
     weighted, weight = levels[-1]
     out = np.asarray(weighted / np.maximum(_per_channel(weight, weighted), _TINY), dtype=np.float32)
     for weighted, weight in levels[-2::-1]:
@@ -77,8 +77,8 @@ def _masked(values: NDArray[Value], known: Bools) -> F32:
     return np.asarray(cv2.copyTo(np.asarray(values, dtype=np.float32), known.astype(np.uint8), out))
 
 
-def _pushed(weighted: F32, weight: F32) -> tuple[F32, F32]:
-    """Returns the image of half the size, rounded up, multiplied by its weights, and the weights, 0 to 1."""
+def _pull(weighted: F32, weight: F32) -> tuple[F32, F32]:
+    """Returns the next coarser level, half the size rounded up: the image multiplied by its weights, and the weights, 0 to 1."""
     height, width = weight.shape
 
     def halved(image: F32) -> F32:
