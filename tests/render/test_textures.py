@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.formats.mesh import Material, TextureSource
-from gibson_sim.render.draw.scene_memory import _halved
+from gibson_sim.render.draw.scene_memory import _next_mip_level
 from gibson_sim.render.renderer import Renderer
 from render.drawing import EYE, facing_quad, loader_of, mesh_visual, scene, state
 
@@ -43,8 +43,8 @@ def test_compressed_textures_look_alike_and_take_a_part_of_the_memory(channels: 
 def test_mipmaps_are_means_in_linear_light() -> None:
     checker = np.zeros((2, 2, 3), dtype=np.uint8)
     checker[0, 0] = checker[1, 1] = 255
-    assert _halved(checker).tolist() == [[[188, 188, 188]]]  # 0.5 in linear light
+    assert _next_mip_level(checker).tolist() == [[[188, 188, 188]]]  # 0.5 in linear light
 
 
 def test_odd_sides_and_alpha_are_halved_too() -> None:
-    assert _halved(np.full((5, 1, 4), 128, dtype=np.uint8)).tolist() == [[[128] * 4], [[128] * 4]]
+    assert _next_mip_level(np.full((5, 1, 4), 128, dtype=np.uint8)).tolist() == [[[128] * 4], [[128] * 4]]
