@@ -233,10 +233,10 @@ def _with_external_data(file: str) -> bytes:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", r"network\.onnx is no network that onnxruntime runs: "),
-        (b"GIF89a and so on", r"network\.onnx is no ONNX file, or is cut"),
-        (goal_network()[:-200], r"network\.onnx is no ONNX file, or is cut"),
-        (_with_external_data("/etc/hostname"), r"network\.onnx keeps its weights in other files, which are not read"),
+        (b"", r"network\.onnx cannot be loaded by onnxruntime: "),
+        (b"GIF89a and so on", r"network\.onnx is not an ONNX file, or is truncated"),
+        (goal_network()[:-200], r"network\.onnx is not an ONNX file, or is truncated"),
+        (_with_external_data("/etc/hostname"), r"network\.onnx has its weights in other files, which are not read"),
         (_two_images(), r"its inputs are a \['batch', 3, 64, 85\], b .*; must be images \(batch, 3 frames, height, width\)"),
         (_sum_of_images(), r"its outputs have shapes .*, must be a distance \(batch, 1\) and waypoints"),
         (goal_network(batch=100_000), r"a batch of 100000, must be 1 to 256, or free"),
@@ -255,7 +255,7 @@ def test_a_place_without_a_network_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"encoder\.onnx, distance\.onnx, action\.onnx missing; a folder of NoMaD has"):
         open_network(tmp_path)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(ModelError, match=r"pipe is no regular file"):
+    with pytest.raises(ModelError, match=r"pipe is not a regular file"):
         open_network(tmp_path / "pipe")
     nomad_files(tmp_path)
     (tmp_path / "action.onnx").write_bytes((tmp_path / "distance.onnx").read_bytes())

@@ -107,10 +107,10 @@ def _with_external_data() -> bytes:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", r"is no network that onnxruntime runs: "),
-        (b"GIF89a and so on", r"is no ONNX file, or is cut"),
-        (network()[:-40], r"is no ONNX file, or is cut"),
-        (_with_external_data(), r"keeps its weights in other files, which are not read"),
+        (b"", r"cannot be loaded by onnxruntime: "),
+        (b"GIF89a and so on", r"is not an ONNX file, or is truncated"),
+        (network()[:-40], r"is not an ONNX file, or is truncated"),
+        (_with_external_data(), r"has its weights in other files, which are not read"),
         (network(small="thumbnail"), r"its inputs are 'image, thumbnail' .*; must be image, small and brought: use a file that gibson-sim learn"),
         (network(height=64, width=96), r"cannot be run: "),
         (network(out="small"), r"its output is uint8 \(1, 64, 96, 3\), must be uint8 \(1, 22, 34, 3\), as its image"),

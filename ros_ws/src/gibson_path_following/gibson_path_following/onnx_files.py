@@ -1,4 +1,4 @@
-"""Opens untrusted ONNX files with onnxruntime: on one core, without external data, every failure in one line."""
+"""Opens untrusted ONNX files with onnxruntime: reads only the file itself; each error is one line."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from gibson_path_following.errors import ModelError, quoted
 
 MAX_BYTES = 1 << 30
-"""Largest size of a file; those of the GNM family have 35 to 111 MB."""
+"""Maximum size of a file, bytes; those of the GNM family have 35 to 111 MB."""
 _MAX_DEPTH = 60
-"""Largest depth of nested messages: subgraphs of nodes of subgraphs."""
+"""Maximum nesting depth of messages (subgraphs of nodes of subgraphs)."""
 _CHILDREN: dict[str, dict[int, str]] = {
     "model": {7: "graph", 25: "function"},
     "function": {7: "node"},
@@ -29,10 +29,10 @@ _EXTERNAL_DATA, _DATA_LOCATION = 13, 14
 
 
 def open_session(file: Path) -> Any:
-    """Returns an onnxruntime session of a file.
+    """Returns an onnxruntime session for a file, on one core of the CPU.
 
     Raises:
-        ModelError: onnxruntime is not installed, or the file holds no network that it runs, or refers to external data.
+        ModelError: onnxruntime is not installed, cannot load the file, or its weights are in other files.
     """
     try:
         import onnxruntime
@@ -42,30 +42,30 @@ def open_session(file: Path) -> Any:
     try:
         external = _has_external_data(memoryview(content), "model", 0)
     except (ValueError, IndexError) as error:
-        raise ModelError(f"{file} is no ONNX file, or is cut; export it anew") from error
+        raise ModelError(f"{file} is not an ONNX file, or is truncated; export it again") from error
     if external:
-        raise ModelError(f"{file} keeps its weights in other files, which are not read; export it into one file")
+        raise ModelError(f"{file} has its weights in other files, which are not read; export it as one file")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # of types that onnxruntime does not export
-        raise ModelError(f"{file} is no network that onnxruntime runs: {_reason(error)}") from error
+    except Exception as error:  # onnxruntime does not export their types
+        raise ModelError(f"{file} cannot be loaded by onnxruntime: {_reason(error)}") from error
 
 
 def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
-    """Runs a network; returns all outputs.
+    """Returns all outputs of a network.
 
     Raises:
         ModelError: the network cannot be run with these inputs, or returns a NaN or an infinity.
     """
     try:
         found = list(session.run(None, feeds))
-    except Exception as error:  # of types that onnxruntime does not export
+    except Exception as error:  # onnxruntime does not export their types
         raise ModelError(f"{file} cannot be run: {_reason(error)}") from error
     if not all(np.isfinite(value).all() for value in found if np.issubdtype(np.asarray(value).dtype, np.number)):
-        raise ModelError(f"{file}: its output holds a NaN or an infinity; export it anew")
+        raise ModelError(f"{file}: its output holds a NaN or an infinity; export it again")
     return found
 
 
@@ -75,7 +75,7 @@ def _content(file: Path) -> bytes:
         with open(descriptor, "rb") as opened:
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
-                raise ModelError(f"{file} is no regular file; give an ONNX file")
+                raise ModelError(f"{file} is not a regular file; give an ONNX file")
             if status.st_size > MAX_BYTES:
                 raise ModelError(f"{file} has {status.st_size / 2**20:.0f} MB, at most {MAX_BYTES >> 20} are read")
             return opened.read(MAX_BYTES)
@@ -88,8 +88,8 @@ def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:
     """Returns whether a message contains a tensor with external data.
 
     Raises:
-        ValueError: the message is malformed.
-        IndexError: it is truncated.
+        ValueError: the message is invalid.
+        IndexError: the message is truncated.
     """
     if depth > _MAX_DEPTH:
         raise ValueError("too deep")
@@ -105,7 +105,7 @@ def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:
         elif wire == 2:
             size, at = _varint(message, at)
             if at + size > len(message):
-                raise IndexError("cut")
+                raise IndexError("truncated")
             if kind == "tensor" and field == _EXTERNAL_DATA:
                 return True
             if field in children and _has_external_data(message[at : at + size], children[field], depth + 1):
@@ -114,9 +114,9 @@ def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:
         elif wire in (1, 5):
             at += 8 if wire == 1 else 4
             if at > len(message):
-                raise IndexError("cut")
+                raise IndexError("truncated")
         else:
-            raise ValueError("no such wire type")
+            raise ValueError("unknown wire type")
     return False
 
 

@@ -261,7 +261,7 @@ def _read(path: Path, most: int) -> bytes:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe must not block
         with open(descriptor, "rb") as file:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise PathFolderError(f"{path} is no regular file")
+                raise PathFolderError(f"{path} is not a regular file")
             data = file.read(most + 1)
     except (OSError, ValueError) as error:
         hint = "; give a folder that was recorded" if path.name == SETTINGS_FILE else ""
