@@ -95,7 +95,10 @@ def leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.usefixtures("leaves_nothing")
 def test_equal_runs_with_things_and_people_are_equal_to_the_bit(room: str, tmp_path: Path) -> None:
-    box, anna = PlacedObject("box", "box_cardboard", (1.0, 1.0, 0.3)), Person("anna", ((-1.0, -1.0), (1.0, -1.0)), 0.8, 0.25, 1.75)
+    box, anna = (
+        PlacedObject("box", "box_cardboard", (1.0, 1.0, 0.3)),
+        Person("anna", ((-1.0, -1.0), (1.0, -1.0)), 0.8, 0.25, 1.75),
+    )
     run = replace(run_in(room), things=(box,), people=(anna,))
     outcomes: list[Outcome] = []
     for number in range(2):
