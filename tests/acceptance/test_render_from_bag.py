@@ -263,7 +263,7 @@ def test_a_view_is_drawn_where_tf_says_beside_the_cameras_of_the_run(viewed: Pat
 
 
 def test_a_view_that_the_bag_has_already_is_refused(viewed: Path) -> None:
-    with pytest.raises(ConfigError, match="'view_top': the scene has a camera of this name already"):
+    with pytest.raises(ConfigError, match="'view_top': the scene already has a camera of this name"):
         render_bag(RenderBagConfig(bag=str(viewed), output=str(viewed.parent / "again"), views="top"), RENDER)
 
 

@@ -70,7 +70,7 @@ class Rig:
         """Step -> poses of all links."""
         self.refused = 0
 
-    def note(self, name: str, message: Any) -> None:
+    def record(self, name: str, message: Any) -> None:
         """Replaces the journal."""
         self.inputs.append((self.world.step_count, name, message))
 
@@ -171,7 +171,7 @@ def test_commands_on_topics_are_applied_and_noted_so_that_a_run_can_be_repeated(
 
 
 class _Nowhere:
-    def note(self, name: str, message: Any) -> None:
+    def record(self, name: str, message: Any) -> None:
         """Clears what was received."""
 
 

@@ -52,7 +52,7 @@ def test_a_simulation_that_does_not_start_is_left_out_with_the_reason(ros_domain
 
 
 def test_a_free_simulation_gives_all_its_rows(ros_domain: int, tmp_path: Path) -> None:
-    plan = Table1Plan(scene="arena", seconds=0.3)
+    plan = Table1Plan(scene="arena", seconds=2.0)
     rows = list(
         _free(plan, node_environment(), write_robot(tmp_path, (256, 256)), 24, MODE_GROUPS[0], IN_PROCESS_ROWS, MESSAGE_MS)
     )
