@@ -48,4 +48,4 @@ def test_filled_images_are_compared_in_holes_and_on_front_faces(tmp_path):
     )
     # A hole is black; push-pull fills it from its surroundings and leaves the rest unchanged.
     assert found["push_pull", HOLES].psnr > found["", HOLES].psnr + 3.0
-    assert found["push_pull", FRONTS].psnr == pytest.approx(found["", FRONTS].psnr, abs=0.5)  # its border belongs to both
+    assert found["push_pull", FRONTS].psnr == pytest.approx(found["", FRONTS].psnr, abs=1.0)  # their common border gains, too

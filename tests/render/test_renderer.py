@@ -154,7 +154,7 @@ def test_two_renderers_side_by_side_do_not_mix():
 
 
 def test_a_state_of_another_revision_is_refused():
-    with Renderer(scene()) as renderer, pytest.raises(SceneMismatchError, match="revision 2, revision 1 is loaded"):
+    with Renderer(scene()) as renderer, pytest.raises(SceneMismatchError, match="revision 2, but revision 1 is loaded"):
         renderer.render(state(revision=2), [EYE])
 
 

@@ -172,7 +172,7 @@ def test_states_of_the_revision_before_are_refused() -> None:
     first, after = _scene(ROBOT), _scene(ROBOT, CRATE, revision=2)
     with Renderer(first) as renderer:
         renderer.update(after)
-        with pytest.raises(SceneMismatchError, match="revision 1, revision 2 is loaded"):
+        with pytest.raises(SceneMismatchError, match="revision 1, but revision 2 is loaded"):
             renderer.render(_state(first), [EYE])
 
 

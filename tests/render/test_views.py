@@ -105,7 +105,7 @@ def test_a_camera_without_a_pixel_inside_its_lens_is_refused():
 
 
 def test_a_view_that_is_too_large_is_refused():
-    with pytest.raises(ConfigError, match=r"a view of \d+x\d+ pixels is needed"):
+    with pytest.raises(ConfigError, match=r"needs a view of \d+x\d+ pixels"):
         views_of(
             replace(
                 PINHOLE,
