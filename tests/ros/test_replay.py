@@ -178,6 +178,7 @@ def test_commands_alone_of_a_robot_that_was_elsewhere_drive_ours(ros_domain: int
     code, said = _replay(tmp_path / "real", *world, "--rate", "1", "--record", str(tmp_path / "sim"))
     assert code == ExitCode.OK
     assert "15 commands at their times, free" in said, "the run ends with the sixteenth"
+    assert "continues without" not in said, "the subscriber of TwistStamped on the same topic is not waited for"
     with BagReader(tmp_path / "sim") as bag_of_ours:
         x = [message.pose.pose.position.x for _, _, message in bag_of_ours.messages(["/odom"])]
     assert x[-1] > 0.3, "1.5 s at 0.4 m/s, without the start"

@@ -9,8 +9,10 @@ from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSCompatibility, qos_check_compatible
 
 from gibson_sim.ros.nodes.node_main import is_running
+from gibson_sim.ros.wire.message_types import type_name_of
 
 _START_TIMEOUT_S = 120.0
 """Timeout after which a run starts without the missing peers, s of wall time."""
@@ -21,8 +23,17 @@ _ACKNOWLEDGE_TIMEOUT_S = 1.0
 
 
 def is_fully_matched(node: Node, publisher: Publisher) -> bool:
-    """Returns whether a publisher is matched with all discovered subscribers of its topic, so that they receive its later messages."""
-    return bool(publisher.get_subscription_count() >= node.count_subscribers(publisher.topic_name))
+    """Returns whether a publisher is matched with all discovered subscribers of its topic, so that they receive its later messages.
+
+    Subscribers of another type or with an incompatible QoS profile can never be matched and do not count: a topic such as ``cmd_vel`` may
+    have subscribers for Twist and for TwistStamped.
+    """
+    type_name, profile = type_name_of(publisher.msg_type), publisher.qos_profile
+    expected = sum(
+        endpoint.topic_type == type_name and qos_check_compatible(profile, endpoint.qos_profile)[0] != QoSCompatibility.ERROR
+        for endpoint in node.get_subscriptions_info_by_topic(publisher.topic_name)
+    )
+    return bool(publisher.get_subscription_count() >= expected)
 
 
 def wait_for_peers(
