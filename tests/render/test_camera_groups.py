@@ -89,6 +89,18 @@ def test_cameras_of_all_kinds_together_see_what_each_sees_alone(
     assert len({frame.depth.tobytes() for frame in alone if frame.depth is not None}) == 8
 
 
+def test_without_shared_targets_the_bits_of_an_image_do_not_depend_on_other_cameras(egl: None) -> None:
+    visuals, loader = rooms()
+    drawn = scene(*visuals, box((0.0, 0.0, 0.0), RED, link="a/base"), links=("a/base",))
+    cameras = _mixed()
+    with detail_from(1), Renderer(drawn, loader=loader, share_targets=False) as one:
+        together = one.render(NOW, cameras, BEFORE)
+        for camera, frame in zip(cameras, together, strict=True):
+            (alone,) = one.render(NOW, [camera], BEFORE)
+            for name in camera.outputs:
+                np.testing.assert_array_equal(getattr(frame, name), getattr(alone, name), err_msg=f"{camera.name}: {name}")
+
+
 def test_the_order_of_cameras_does_not_matter(renderer: Renderer) -> None:
     cameras = _mixed()
     _assert_same(renderer.render(NOW, cameras[::-1], BEFORE)[::-1], renderer.render(NOW, cameras, BEFORE))

@@ -9,8 +9,9 @@ import pytest
 import yaml
 
 from gibson_sim.client_config import NODE_CONFIGS, RecordConfig
-from gibson_sim.config import PhysicsConfig
+from gibson_sim.config import PhysicsConfig, parse_fill
 from gibson_sim.errors import ConfigError
+from gibson_sim.types import CameraSpec
 
 
 @pytest.mark.parametrize("name", NODE_CONFIGS)
@@ -65,10 +66,31 @@ def test_camera_fill_names_what_fills_and_whether_depth_is_filled() -> None:
     assert PhysicsConfig(camera_fill="push_pull").wanted_fill() == ("push_pull", False)
     assert PhysicsConfig(camera_fill="learned,depth").wanted_fill() == ("learned", True)
     assert PhysicsConfig(camera_fill="none").wanted_fill() == ("", False)
-    assert PhysicsConfig(camera_fill="a.onnx").wanted_fill() == (str(Path("a.onnx").absolute()), False)
-    for wrong in ("telea", "learned,colour", "none,depth"):
-        with pytest.raises(ConfigError, match="must be"):
+    for wrong in ("telea", "learned,colour", "none,depth", ",depth"):
+        with pytest.raises(
+            ConfigError, match=r"setting 'camera_fill' is .*, must be none, push_pull, learned or the path of an ONNX file"
+        ):
             PhysicsConfig(camera_fill=wrong)
+    with pytest.raises(ConfigError, match=r"'lerned', must be .*; did you mean 'learned'\?"):
+        PhysicsConfig(camera_fill="lerned")
+
+
+def test_a_network_that_fills_holes_must_exist(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a, b.onnx").touch()
+    assert PhysicsConfig(camera_fill="a, b.onnx,depth").wanted_fill() == (str(tmp_path / "a, b.onnx"), True)
+    with pytest.raises(
+        ConfigError, match=r"setting 'camera_fill': there is no file '/.*/gone\.onnx'; give an ONNX file, or push_pull, learned"
+    ):
+        PhysicsConfig(camera_fill="gone.onnx")
+
+
+@pytest.mark.parametrize("wrong", [3, True, ["push_pull"]])
+def test_a_fill_that_is_no_text_is_refused(wrong: object) -> None:
+    with pytest.raises(ConfigError, match=r"fill is .*, must be none, push_pull"):
+        parse_fill("fill", wrong)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"fill is .*, must be push_pull"):
+        CameraSpec("camera", "", fill=wrong)  # type: ignore[arg-type]
 
 
 def test_wait_for_reads_topics_and_counts() -> None:

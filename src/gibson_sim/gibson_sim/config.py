@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.settings import check_settings, nearest, setting
-from gibson_sim.types import FILLS, OUTPUTS, Output, check_fill
+from gibson_sim.types import FILLS, OUTPUTS, Output
 
 DETAIL_PX = 1.0
 """Default of the maximum screen-space error of levels of detail, pixels."""
@@ -212,15 +212,7 @@ class PhysicsConfig:
 
     def wanted_fill(self) -> tuple[str, bool]:
         """Returns the fill method in ``camera_fill``, a file as absolute path, empty = none; and whether depth is filled too."""
-        fill, comma, more = (part.strip() for part in self.camera_fill.partition(","))
-        if more != ("depth" if comma else "") or (fill == "none" and comma):
-            raise ConfigError(
-                f"setting 'camera_fill' is {quoted(self.camera_fill)}, must be none, or {', '.join(FILLS)} or an ONNX file, with ,depth to fill "
-                "depth, too"
-            )
-        fill = "" if fill == "none" else fill
-        check_fill("setting 'camera_fill'", fill)
-        return (str(Path(fill).expanduser().absolute()) if fill.endswith(".onnx") else fill), bool(comma)
+        return parse_fill("setting 'camera_fill'", self.camera_fill)
 
     def wanted_view_size(self) -> tuple[int, int]:
         """Returns the width and the height in ``view_size``, pixels."""
@@ -235,6 +227,37 @@ class PhysicsConfig:
                 raise ConfigError(f"setting 'wait_for' has {quoted(part)}, must be topic:count, e.g. scene_state:1")
             wanted[topic] = int(count)
         return wanted
+
+
+_FILL_SETTING = f"none, {', '.join(FILLS)} or the path of an ONNX file (.onnx), with ,depth to fill depth, too"
+
+
+def parse_fill(what: str, value: str | os.PathLike[str]) -> tuple[str, bool]:
+    """Returns the method to fill holes in a setting, a file as absolute path, empty = none; and whether depth is filled too.
+
+    Args:
+        what: name of the setting in messages.
+        value: a method of ``FILLS`` or the path of an ONNX file, also with ``,depth``; or ``none``, or empty.
+
+    Raises:
+        ConfigError: the value is something else, or the file does not exist.
+    """
+    if not isinstance(value, (str, os.PathLike)):
+        raise ConfigError(f"{what} is {quoted(value)}, must be {_FILL_SETTING}")
+    text = os.fspath(value).strip()
+    before, _, last = text.rpartition(",")
+    fill, with_depth = (before.strip(), True) if last.strip() == "depth" and "," in text else (text, False)
+    if fill in ("", "none") and not with_depth:
+        return "", False
+    if fill in FILLS:
+        return fill, with_depth
+    if not fill.endswith(".onnx"):
+        hint = f"; {hint}" if (hint := nearest(fill, (*FILLS, "none"))) else ""
+        raise ConfigError(f"{what} is {quoted(text)}, must be {_FILL_SETTING}{hint}")
+    path = Path(fill).expanduser().absolute()
+    if not path.exists():
+        raise ConfigError(f"{what}: there is no file '{clipped(str(path), 200)}'; give an ONNX file, or {', '.join(FILLS)}")
+    return str(path), with_depth
 
 
 def outputs_of(name: str, text: str) -> tuple[Output, ...]:

@@ -133,7 +133,7 @@ def check_status(status: os.stat_result, most: int) -> None:
         OSError: the file is not a regular file, or has more than ``most`` bytes.
     """
     if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "is not a regular file")
+        raise OSError(errno.EINVAL, "it is not a regular file")
     if status.st_size > most:
         raise OSError(errno.EFBIG, _too_large(f"{status.st_size / _MEGA:.0f} MB", most))
 
@@ -269,7 +269,7 @@ def parse_xml(text: bytes) -> ElementTree.Element:
 
 
 def _too_large(size: str, most: int) -> str:
-    return f"is too large: it has {size}, must have at most {most / _MEGA:g} MB"
+    return f"it is too large: it has {size}, must have at most {most / _MEGA:g} MB"
 
 
 def _yaml_error(error: Exception) -> TextError:

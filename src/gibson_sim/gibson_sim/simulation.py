@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import numpy as np
 
-from gibson_sim.config import PhysicsConfig
+from gibson_sim.config import PhysicsConfig, parse_fill
 from gibson_sim.errors import CommandError, ConfigError, GibsonSimError, PhysicsError
 from gibson_sim.geometry.transforms import quat_from_rpy, yaw_from_quat
 from gibson_sim.maps.floor_extent import extent_of_scene
@@ -538,7 +539,7 @@ class Simulation:
         outputs: Sequence[Output] | None = None,
         previous: SceneState | None = None,
         *,
-        fill: str | None = None,
+        fill: str | os.PathLike[str] | None = None,
     ) -> Frame:
         """Returns the image of a camera at the current state.
 
@@ -546,8 +547,8 @@ class Simulation:
             camera: name of a camera or a view, or a camera spec; empty = the first camera.
             outputs: one or several of ``gibson_sim.OUTPUTS``; None = those of the camera's spec.
             previous: an earlier state, which ``flow`` and motion blur of cameras with a shutter need.
-            fill: method that fills holes of the colours: ``push_pull``, ``learned``, the path of an ONNX file, empty = none; None = as the
-                camera's spec has it.
+            fill: method that fills holes of the colours: ``push_pull``, ``learned`` or the path of an ONNX file, with ``,depth`` of depth,
+                too; ``none``; None = as the camera's spec has it.
 
         Returns:
             The frame. Row 0 is the top; H, W are the camera's. ``rgb`` (H, W, 3) uint8, sRGB. ``depth`` (H, W) float32, metres along the
@@ -569,7 +570,7 @@ class Simulation:
         outputs: Sequence[Output] | None = None,
         previous: SceneState | None = None,
         *,
-        fill: str | None = None,
+        fill: str | os.PathLike[str] | None = None,
     ) -> list[Frame]:
         """Returns the frames of several cameras, drawn together, which is faster than one by one; none given = all. See ``render``."""
         renderer, state, specs, before = self._render_arguments(cameras, outputs, previous, fill)
@@ -582,7 +583,7 @@ class Simulation:
         outputs: Sequence[Output] | None = None,
         previous: SceneState | None = None,
         *,
-        fill: str | None = None,
+        fill: str | os.PathLike[str] | None = None,
     ) -> list[TensorFrame]:
         """Returns the frames of ``render_all`` as PyTorch tensors, without depth noise: on the GPU that drew them if CUDA supports it, else on
         the CPU.
@@ -686,7 +687,7 @@ class Simulation:
         cameras: Sequence[str | CameraSpec],
         outputs: Sequence[Output] | None,
         previous: SceneState | None,
-        fill: str | None,
+        fill: str | os.PathLike[str] | None,
     ) -> tuple[Renderer, SceneState, list[CameraSpec], SceneState | None]:
         drawn, views = self._drawn_now()
         if isinstance(cameras, (str, CameraSpec)) or not isinstance(cameras, Sequence):
@@ -696,7 +697,10 @@ class Simulation:
             requested = cast("tuple[Output, ...]", (outputs,) if isinstance(outputs, str) else tuple(outputs))
             specs = [replace(camera, outputs=requested) for camera in specs]
         if fill is not None:
-            specs = [replace(camera, fill=fill, fill_depth=camera.fill_depth and bool(fill)) for camera in specs]
+            method, with_depth = parse_fill("fill", fill)
+            specs = [
+                replace(camera, fill=method, fill_depth=bool(method) and (with_depth or camera.fill_depth)) for camera in specs
+            ]
         if previous is not None and not isinstance(previous, SceneState):
             raise ConfigError(f"previous is {quoted(previous)}, must be a state: what `step` returned, or `sim.state`")
         if previous is not None and previous.links != self.world.links:

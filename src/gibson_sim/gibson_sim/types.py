@@ -132,8 +132,10 @@ FILLS = ("push_pull", "learned")
 
 def check_fill(what: str, fill: str) -> None:
     """Raises ConfigError, with ``what`` in its message, unless ``fill`` is a method to fill holes, or empty."""
-    if fill and fill not in FILLS and not fill.endswith(".onnx"):
-        raise ConfigError(f"{what}: fill is {quoted(fill)}, must be {', '.join(FILLS)} or the path of an ONNX file (.onnx)")
+    if not isinstance(fill, str) or (fill and fill not in FILLS and not fill.endswith(".onnx")):
+        raise ConfigError(
+            f"{what}: fill is {quoted(fill)}, must be {', '.join(FILLS)} or the path of an ONNX file (.onnx), as text; '' = no filling"
+        )
 
 
 WORLD_FRAME = "map"
@@ -202,6 +204,8 @@ class CameraSpec:
         if unknown or not self.outputs:
             raise ConfigError(f"{what}: outputs are {list(self.outputs)}, must be one or more of {', '.join(OUTPUTS)}")
         check_fill(what, self.fill)
+        if not isinstance(self.fill_depth, bool):
+            raise ConfigError(f"{what}: fill_depth is {quoted(self.fill_depth)}, must be True or False")
         if self.fill_depth and not self.fill:
             raise ConfigError(f"{what}: fill_depth is set without fill; give that too: {', '.join(FILLS)} or an ONNX file")
         self._check_optics(what)

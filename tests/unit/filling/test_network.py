@@ -66,12 +66,13 @@ def _external() -> bytes:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", r"onnxruntime cannot load .*network\.onnx: "),
+        (b"", r"network\.onnx is empty; export it again"),
         (b"GIF89a and so on", r"network\.onnx is not an ONNX file, or is truncated"),
         (our_network()[:-60], r"network\.onnx is not an ONNX file, or is truncated"),
         (_external(), r"network\.onnx has its weights in other files, which are not read"),
-        (our_network(channels=5), r"network\.onnx has inputs .input tensor\(float\) \[1, 5, .*must be one of: ours, input \(1, 9, H, W\)"),
-        (our_network(version="2"), r"network\.onnx was made for version '2' of the filler, this is 1"),
+        (our_network(channels=5), r"has input input float \[1, 5, .* and output image .*must be one of: ours, float input \(1, 9, H, W\)"),
+        (our_network(size=32), r"network\.onnx takes only images of 32x32 pixels, must take any size; export it with dynamic axes"),
+        (our_network(version="2"), r"network\.onnx is for version '2' of the input format \(metadata gibson_filler\), must be for 1"),
         (our_network(nan=True), r"network\.onnx: its output holds a NaN or an infinity"),
     ],
 )  # fmt: skip

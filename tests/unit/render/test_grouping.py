@@ -21,9 +21,16 @@ def test_cameras_share_a_target_where_the_same_is_drawn_for_them() -> None:
         _camera("e", "rgb", samples=4), _camera("f", "rgb", link=""),
     ]  # fmt: skip
     groups = CameraGrouping(4096).of(cameras)
-    assert [group.numbers for group in groups] == [(0, 1), (2,), (3,), (4,), (5,)]
-    assert [group.features for group in groups] == [(), (), ("LABELS",), (), ()]
-    assert (groups[0].width, groups[0].height, groups[0].places) == (128, 48, ((0, 0), (64, 0)))
+    assert [group.numbers for group in groups] == [(0, 1, 5), (2,), (3,), (4,)]
+    assert [group.features for group in groups] == [(), (), ("LABELS",), ()]
+    assert (groups[0].width, groups[0].height, groups[0].places) == (128, 96, ((0, 0), (64, 0), (0, 48)))
+
+
+def test_without_sharing_every_camera_has_a_target_of_its_own() -> None:
+    groups = CameraGrouping(4096, share=False).of([_camera(name, "rgb") for name in "abc"])
+    assert [(group.numbers, group.width, group.height, group.places) for group in groups] == [
+        ((k,), 64, 48, ((0, 0),)) for k in range(3)
+    ]
 
 
 def test_what_does_not_fit_into_one_target_gets_several() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gibson_path_following.errors import ModelError, quoted
+from gibson_path_following.errors import ModelError
 
 MAX_BYTES = 1 << 30
 """Maximum size of a file, bytes; those of the GNM family have 35 to 111 MB."""
@@ -24,6 +25,10 @@ _CHILDREN: dict[str, dict[int, str]] = {
     "sparse": {1: "tensor", 2: "tensor"},
 }
 """Kind of a message of onnx.proto -> field number -> kind of the messages in it, for those that can contain tensors."""
+_LONGEST_REASON = 240
+"""Maximum length of a message of onnxruntime, characters."""
+_CODE = re.compile(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ")
+_SOURCE = re.compile(r"/onnxruntime_src/\S+:\d+ .*?\) (?=[A-Z])")
 _EXTERNAL_DATA, _DATA_LOCATION = 13, 14
 """Field numbers of a tensor that refer to external data."""
 
@@ -39,6 +44,8 @@ def open_session(file: Path) -> Any:
     except ImportError as error:
         raise ModelError(f"{file} needs onnxruntime, which is not installed: pip install gibson_path_following[onnx]") from error
     content = _content(file)
+    if not content.strip(b"\0"):
+        raise ModelError(f"{file} is empty; export it again")
     try:
         external = _has_external_data(memoryview(content), "model", 0)
     except (ValueError, IndexError) as error:
@@ -51,7 +58,9 @@ def open_session(file: Path) -> Any:
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime does not export their types
-        raise ModelError(f"{file} cannot be loaded by onnxruntime: {_reason(error)}") from error
+        raise ModelError(
+            f"{file} cannot be loaded by onnxruntime: {_reason(error)}; export it again, or update onnxruntime"
+        ) from error
 
 
 def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
@@ -134,4 +143,8 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
 
 
 def _reason(error: Exception) -> str:
-    return quoted(" ".join(str(error).split()) or type(error).__name__)
+    """Returns the message of onnxruntime without its error code and the C++ function that raised it, shortened in the middle."""
+    text = _SOURCE.sub("", _CODE.sub("", " ".join(str(error).split()))) or type(error).__name__
+    half = _LONGEST_REASON // 2
+    line = text if len(text) <= _LONGEST_REASON else f"{text[:half]} ... {text[-half:]}"
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line).rstrip(".")

@@ -61,7 +61,7 @@ def _metavar(f: Field[Any]) -> str:
     """Returns the placeholder of the value of an option in the help."""
     if f.metadata["choices"]:
         return f"{{{','.join(f.metadata['choices'])}}}"
-    if f.name in _METAVARS:
+    if f.name in _METAVARS and not isinstance(f.default, int):  # --drive of `learn filler evaluate` is a number
         return _METAVARS[f.name]
     unit: str = f.metadata["unit"]
     if unit:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from gibson_sim.filling.holes import SURFACE, UNSEEN, is_hole
 from gibson_sim.filling.inputs import CHANNELS, filled_colour, packed
 from gibson_sim.filling.onnx_files import open_session, run
 from gibson_sim.filling.push_pull import push_pull_depth
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import clipped, quoted
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -27,7 +27,7 @@ VERSION = "1"
 _LEAST_INVERSE = np.float32(1e-3)
 """Smaller inverse depths are clamped to this one, 1/m."""
 _CONTRACTS = (
-    f"ours, input (1, {CHANNELS}, H, W) and output image (1, 3, H, W); MI-GAN's pipeline, image (1, 3, H, W) and mask (1, 1, H, W), uint8; or "
+    f"ours, float input (1, {CHANNELS}, H, W) and float output (1, 3, H, W); MI-GAN's pipeline, image (1, 3, H, W) and mask (1, 1, H, W), uint8; or "
     "its generator, (1, 4, R, R) to (1, 3, R, R): see docs/filler.md"
 )
 
@@ -40,15 +40,19 @@ def open_network(file: Path) -> GibsonNetwork | MiGanPipeline | MiGanGenerator:
     """
     session = open_session(file)
     inputs, outputs = session.get_inputs(), session.get_outputs()
-    kinds = [(value.type, tuple(value.shape)) for value in inputs]
+    kinds, results = ([(value.type, tuple(value.shape)) for value in values] for values in (inputs, outputs))
     names = [value.name for value in inputs]
     if len(kinds) == 1 and _fits(kinds[0], "tensor(float)", CHANNELS):
         version = session.get_modelmeta().custom_metadata_map.get("gibson_filler", VERSION)
         if version != VERSION:
             raise ConfigError(
-                f"{file} was made for version {quoted(version)} of the filler, this is {VERSION}; train or fetch it again"
+                f"{file} is for version {quoted(version)} of the input format (metadata gibson_filler), must be for {VERSION}; train it again"
             )
-        if _fits((outputs[0].type, tuple(outputs[0].shape)), "tensor(float)", 3):
+        if any(isinstance(size, int) for size in kinds[0][1][2:]):
+            raise ConfigError(
+                f"{file} takes only images of {kinds[0][1][3]}x{kinds[0][1][2]} pixels, must take any size; export it with dynamic axes"
+            )
+        if _fits(results[0], "tensor(float)", 3):
             return GibsonNetwork(file, session)
     elif names == ["image", "mask"] and _fits(kinds[0], "tensor(uint8)", 3) and _fits(kinds[1], "tensor(uint8)", 1):
         return MiGanPipeline(file, session)
@@ -56,8 +60,15 @@ def open_network(file: Path) -> GibsonNetwork | MiGanPipeline | MiGanGenerator:
         side, other = kinds[0][1][2:]
         if isinstance(side, int) and side == other and 16 <= side <= 2048:
             return MiGanGenerator(file, session, side)
-    found = "; ".join(f"{name} {kind} {list(shape)}" for name, (kind, shape) in zip(names, kinds, strict=True))
-    raise ConfigError(f"{file} has inputs {quoted(found)}, must be one of: {_CONTRACTS}")
+    raise ConfigError(
+        f"{file} has {_described('input', inputs)} and {_described('output', outputs)}, must be one of: {_CONTRACTS}"
+    )
+
+
+def _described(what: str, values: Sequence[Any]) -> str:
+    """Returns names, types and shapes of the inputs or outputs of a session."""
+    found = ", ".join(f"{value.name} {value.type.removeprefix('tensor(').rstrip(')')} {list(value.shape)}" for value in values)
+    return f"{what}{'s' * (len(values) != 1)} {clipped(found, 120)}"
 
 
 def _fits(value: tuple[str, tuple[Any, ...]], kind: str, channels: int) -> bool:

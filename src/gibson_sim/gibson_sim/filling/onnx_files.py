@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.quoting import clipped, quoted
+from gibson_sim.quoting import clipped
 from gibson_sim.reading import read_file
 
 MAX_BYTES = 256 << 20
@@ -28,6 +29,10 @@ _CHILDREN: dict[str, dict[int, str]] = {
     "sparse": {1: "tensor", 2: "tensor"},
 }
 """Kind of a message in onnx.proto -> field number -> kind of the nested message; only those that can contain tensors."""
+_LONGEST_REASON = 240
+"""Maximum length of a message of onnxruntime, characters."""
+_CODE = re.compile(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ")
+_SOURCE = re.compile(r"/onnxruntime_src/\S+:\d+ .*?\) (?=[A-Z])")
 _EXTERNAL_DATA, _DATA_LOCATION = 13, 14
 """Fields of a tensor that refer to another file."""
 
@@ -46,6 +51,8 @@ def open_session(file: Path) -> Any:
         content = read_file(file, MAX_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read '{clipped(str(file), 200)}': {error.strerror or error}; give an ONNX file") from error
+    if not content.strip(b"\0"):
+        raise ConfigError(f"{file} is empty; export it again")
     try:
         external = _has_external_data(memoryview(content), "model", 0)
     except (ValueError, IndexError) as error:
@@ -64,7 +71,7 @@ def open_session(file: Path) -> Any:
     try:
         return onnxruntime.InferenceSession(content, options, providers=providers)
     except Exception as error:  # onnxruntime does not export their types
-        raise ConfigError(f"onnxruntime cannot load {file}: {_reason(error)}") from error
+        raise ConfigError(f"onnxruntime cannot load {file}: {_reason(error)}; export it again, or update onnxruntime") from error
 
 
 def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
@@ -132,4 +139,6 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
 
 
 def _reason(error: Exception) -> str:
-    return quoted(" ".join(str(error).split()) or type(error).__name__)
+    """Returns the message of onnxruntime without its error code and the C++ function that raised it."""
+    text = _SOURCE.sub("", _CODE.sub("", " ".join(str(error).split())))
+    return clipped(text or type(error).__name__, _LONGEST_REASON).rstrip(".")

@@ -62,6 +62,8 @@ class Renderer:
             change slightly.
         cull: view-frustum and occlusion culling; False only to verify that culling changes no image.
         cache: folder of the scene cache (``render.cache.default_folder()``); None = no cache. Not used with a ``loader``.
+        share_targets: draw cameras with the same outputs side by side into one target, which is faster for small images. The position in
+            the target changes the driver's rounding: False = the bits of an image do not depend on the cameras drawn with it.
         progress: called with the current stage of loading and its progress, 0 to 1.
 
     Raises:
@@ -80,6 +82,7 @@ class Renderer:
         compress_textures: bool = False,
         cull: bool = True,
         cache: Path | None = None,
+        share_targets: bool = True,
         progress: Progress | None = None,
     ) -> None:
         self._context: GlContext | None = None
@@ -99,7 +102,7 @@ class Renderer:
             scene = drawn_scene(replace(scene, robots=(), bodies=()), ())
         self._loader, self._allowed_roots, self._cache = loader, allowed_roots, cache
         self._mesh_loader: MeshLoader | None = None
-        self._detail_px, self._compress, self._cull = detail_px, compress_textures, cull
+        self._detail_px, self._compress, self._cull, self._share_targets = detail_px, compress_textures, cull, share_targets
         self.warnings: tuple[str, ...] = ()
         """One line for each item that the last load or update could not load, and omitted or replaced."""
         self.info: dict[str, Any] = {}
@@ -129,7 +132,8 @@ class Renderer:
                 old.close()
         self._mesh_loader = None
         self._splats, self._splats_of_scene = splats, (scene.splats, scene.content_hash)
-        self._scene, self._camera_images = gl_scene, CameraImages(self.context, gl_scene, splats)
+        self._scene = gl_scene
+        self._camera_images = CameraImages(self.context, gl_scene, splats, share_targets=self._share_targets)
         self._composition = Composition(scene, geometry, self._loader_of, levels_of_detail=self._detail_px > 0.0)
         self._describe(scene, geometry, (*geometry.warnings, *gl_scene.warnings))
 
@@ -203,7 +207,7 @@ class Renderer:
     def render(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> list[Frame]:
         """Returns one frame for each camera, with the stamp of the state; the arrays belong to the caller.
 
-        Cameras with the same outputs are drawn side by side into one target and read back together.
+        Cameras with the same outputs are drawn side by side into one target and read back together, unless ``share_targets`` is False.
 
         Args:
             state: poses of all links.

@@ -14,7 +14,7 @@ from gibson_sim.cli.console import CONSOLE, Console
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import write_json
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, EnvironmentProblemError
 from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
 
 _NEEDED = ("torch", "onnx", "onnxruntime")
@@ -153,6 +153,8 @@ def run_filler_pairs(args: argparse.Namespace) -> int:
     from gibson_sim_learn.filler.pipeline import PAIRS, SCENES, make_all_pairs
 
     settings = settings_from_args(PairsSettings, args)
+    if importlib.util.find_spec("open3d") is None:  # found here, not after the first scan
+        raise EnvironmentProblemError("Open3D, which fuses the scans, is not installed: pip install 'gibson_sim_tools[scanning]'")
     with _progress() as progress:
         make_all_pairs(args.folder, settings, SCENES if args.scenes is None else args.scenes.split(","), progress)
     print(f"{args.folder / PAIRS} holds the pairs; next: gibson-sim learn filler train --folder {args.folder}")

@@ -32,6 +32,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 from gibson_sim_learn.arrays import load_arrays, save_arrays
+from gibson_sim_learn.filler.settings import PairsSettings
 from gibson_sim_learn.path_following.data import BODY_HEIGHT, ROBOT_RADIUS, shard_rng, with_bodies
 
 F32 = NDArray[np.float32]
@@ -136,7 +137,8 @@ def draw_pairs(scanned: ScannedScene, seed: int, number: int, *, views: int = VI
     while len(kept) < views:
         if tried >= _MAX_TRIES * views:
             raise ConfigError(
-                f"scene {scanned.scene.name}: only {len(kept)} of {tried} views see enough of its scan; scan it with more frames"
+                f"scene {scanned.scene.name}: {len(kept)} of {tried} views see enough of its scan, {views} are needed; repeat with a new "
+                f"--folder and more --frames (default: {PairsSettings().frames})"
             )
         cameras = _cameras(scanned, rng, max(_BATCH, views - len(kept)))
         kept += [pair for pair in drawn_pairs(scanned, cameras) if _is_useful(*pair)]

@@ -87,4 +87,6 @@ def _run(arguments: Sequence[str]) -> None:
     """
     found = subprocess.run([sys.executable, "-m", "gibson_sim.cli.main", *arguments], stdout=subprocess.DEVNULL, check=False)
     if found.returncode:
-        raise GibsonSimError(f"`gibson-sim {shlex.join(arguments)}` ended with {found.returncode}; run it alone to see why")
+        raise GibsonSimError(
+            f"`gibson-sim {shlex.join(arguments)}` failed with exit code {found.returncode}; its message is above"
+        )

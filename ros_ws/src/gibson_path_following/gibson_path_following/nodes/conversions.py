@@ -52,7 +52,10 @@ def rgb_of_image(msg: Any) -> Image:
     size, code = _TO_RGB[msg.encoding]
     height, width, step = int(msg.height), int(msg.width), int(msg.step)
     if not (0 < height * width <= MAX_PIXELS and step >= width * size and len(msg.data) >= step * height):
-        raise ViewError(f"an image of {width}x{height} {msg.encoding} pixels has {len(msg.data)} bytes in rows of {step}")
+        raise ViewError(
+            f"an image of {width}x{height} {msg.encoding} pixels has {len(msg.data)} bytes in rows of {step}, must have {height} rows of "
+            f"{width * size} or more, and 1 to {MAX_PIXELS} pixels; correct the camera's driver"
+        )
     rows = np.frombuffer(msg.data, dtype=np.uint8, count=step * height).reshape(height, step)
     pixels = rows[:, : width * size].reshape(height, width, size)
     if code is None:

@@ -17,6 +17,8 @@ from gibson_path_following.options import GogglesOptions
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Images that arrive while one is processed are dropped, but for the newest."""
+_RELIABLE = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+"""As camera drivers publish (REP 2003): subscribers with either reliability receive the images."""
 
 
 class GogglesNode(Node):
@@ -28,7 +30,7 @@ class GogglesNode(Node):
         camera/image_raw (sensor_msgs/Image), or ``image_topic``; camera/camera_info beside it.
 
     Publishes:
-        goggles/image_raw (sensor_msgs/Image, rgb8), goggles/camera_info, as it came: give ``path_policy`` the parameter
+        goggles/image_raw (sensor_msgs/Image, rgb8) and goggles/camera_info as it came, reliable: give ``path_policy`` the parameter
         image_topics: [goggles/image_raw].
     """
 
@@ -43,8 +45,8 @@ class GogglesNode(Node):
         self.exit_code: int | None = None
         self._goggles = make_goggles(o.mode, o.model, None if o.mode == "learned" else load_reference(o.reference))
         self._topic, self._is_compressed = o.image_topic, o.image_topic.endswith("/compressed")
-        self._images = self.create_publisher(Image, "goggles/image_raw", qos_profile_sensor_data)
-        self._infos = self.create_publisher(CameraInfo, "goggles/camera_info", qos_profile_sensor_data)
+        self._images = self.create_publisher(Image, "goggles/image_raw", _RELIABLE)
+        self._infos = self.create_publisher(CameraInfo, "goggles/camera_info", _RELIABLE)
         beside = o.image_topic.removesuffix("/compressed").rpartition("/")[0]
         info = f"{beside}/camera_info" if beside else "camera_info"
         self.create_subscription(CameraInfo, info, self._infos.publish, qos_profile_sensor_data)

@@ -33,14 +33,18 @@ class CameraImages:
         context: context of the scene.
         scene: the scene to draw.
         splats: splats to draw over it; None = no splats.
+        share_targets: see ``Renderer``.
     """
 
-    def __init__(self, context: GlContext, scene: GlScene, splats: SplatPass | None = None) -> None:
+    def __init__(
+        self, context: GlContext, scene: GlScene, splats: SplatPass | None = None, *, share_targets: bool = True
+    ) -> None:
         self._context, self._scene, self._splats, self._gl = context, scene, splats, GL.Gl(context)
         self._targets: dict[tuple[int, int, tuple[Feature, ...], int, str], RenderTarget] = {}
         self._resamplers: dict[tuple[CameraSpec, tuple[tuple[int, int], ...]], Resampler] = {}
         self._largest = self._gl.integer(GL.MAX_TEXTURE_SIZE)
-        self.groups: Callable[[Sequence[CameraSpec]], tuple[CameraGroup, ...]] = CameraGrouping(self._largest).of
+        grouping = CameraGrouping(self._largest, share=share_targets)
+        self.groups: Callable[[Sequence[CameraSpec]], tuple[CameraGroup, ...]] = grouping.of
         """Returns the groups of cameras; each group is drawn into one target."""
 
     def target(self, width: int, height: int, features: tuple[Feature, ...], samples: int = 1, use: str = "") -> RenderTarget:

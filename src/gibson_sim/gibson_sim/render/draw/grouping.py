@@ -39,10 +39,11 @@ class CameraGrouping:
 
     Args:
         largest: longest side of a target, pixels.
+        share: whether cameras share targets; see ``Renderer``.
     """
 
-    def __init__(self, largest: int) -> None:
-        self._largest = largest
+    def __init__(self, largest: int, *, share: bool = True) -> None:
+        self._largest, self._share = largest, share
         self._known: dict[tuple[int, ...], tuple[tuple[CameraSpec, ...], tuple[CameraGroup, ...]]] = {}
 
     def of(self, cameras: Sequence[CameraSpec]) -> tuple[CameraGroup, ...]:
@@ -57,21 +58,18 @@ class CameraGrouping:
 
     def _groups(self, cameras: Sequence[CameraSpec]) -> list[CameraGroup]:
         groups = []
-        for features, numbers in _by_features(cameras):
+        for features, numbers in _by_features(cameras, share=self._share):
             for inside, tiles in arrange([(cameras[k].width, cameras[k].height) for k in numbers], self._largest):
                 groups.append(CameraGroup(features, tiles.width, tiles.height, tuple(numbers[i] for i in inside), tiles.places))
         return groups
 
 
-def _by_features(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], list[int]]]:
-    """Returns the indices of the cameras grouped by features, colour output and number of samples.
-
-    Cameras on links and views are in different groups, so that a robot's images are bit-identical with and without views.
-    """
-    groups: dict[tuple[tuple[Feature, ...], bool, int, bool], list[int]] = {}
+def _by_features(cameras: Sequence[CameraSpec], *, share: bool) -> list[tuple[tuple[Feature, ...], list[int]]]:
+    """Returns the indices of the cameras grouped by features, colour output and number of samples; one per group if they do not share."""
+    groups: dict[tuple[tuple[Feature, ...], bool, int, int], list[int]] = {}
     for k, camera in enumerate(cameras):
         color = draws_colors(camera)
-        key = features_of(camera.outputs, filled=bool(camera.fill)), color, camera.samples if color else 1, "/" in camera.link
+        key = features_of(camera.outputs, filled=bool(camera.fill)), color, camera.samples if color else 1, 0 if share else k
         groups.setdefault(key, []).append(k)
     return [(features, numbers) for (features, *_), numbers in groups.items()]
 

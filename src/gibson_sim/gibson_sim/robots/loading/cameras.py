@@ -135,7 +135,7 @@ def read_camera(settings: YamlMap, find_link: Callable[[str], str]) -> CameraSpe
     outputs = settings.values.get("outputs", list(DEFAULT_OUTPUTS))
     if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
         raise RobotError(f"{settings.where}: outputs is {quoted(outputs)}, must be a list of {', '.join(OUTPUTS)}")
-    if settings.values.get("fill", False) is not False:  # "off" is False in YAML
+    if settings.values.get("fill", False) not in (False, None, "none"):  # "off" is False in YAML
         values["fill"] = settings.text("fill")
         if values["fill"].endswith(".onnx") and not exists(Path(values["fill"])):
             raise RobotError(

@@ -164,6 +164,8 @@ class RenderNode(Node):
         cameras = [publisher.camera for publisher in self._cameras.values()]
         try:
             self._renderer.render(State.still(scene.revision, scene.links), cameras)
+        except ConfigError as error:  # a network that fills holes cannot be run
+            self._failure = error
         except GibsonSimError as error:  # logged again when images have subscribers
             self.get_logger().warning(f"the first images cannot be drawn: {error}")
 

@@ -17,7 +17,10 @@ def device_of(config: RenderConfig) -> int | str | None:
 
 
 def open_renderer(scene: DrawnScene, config: RenderConfig, progress: Progress | None = None) -> Renderer:
-    """Returns a renderer with the loaded scene, which the caller closes; see ``Renderer`` for errors."""
+    """Returns a renderer with the loaded scene, which the caller closes; see ``Renderer`` for errors.
+
+    Cameras do not share targets: an image must not depend on which other topics have subscribers.
+    """
     cache = None if config.cache == "none" else Path(config.cache) if config.cache else default_folder()
     return Renderer(
         scene,
@@ -26,5 +29,6 @@ def open_renderer(scene: DrawnScene, config: RenderConfig, progress: Progress | 
         detail_px=config.detail_px,
         compress_textures=config.compress_textures,
         cache=cache,
+        share_targets=False,
         progress=progress,
     )
