@@ -150,6 +150,8 @@ class RenderNode(Node):
             )
         if self._state_subscription is None:
             self._warm_up(scene)
+            if self._failure is not None:  # the node ends; without the subscription, time does not start
+                return
             self._state_subscription = self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
             self._lockstep = LockstepParticipant(self, after=CAMERAS)
             self._run_info = publish_run_info(self, "render", self._config, 0, opengl=dict(info))
