@@ -35,6 +35,14 @@ def test_motions_are_integrals_of_what_was_commanded() -> None:
     assert log.motion(500_000_000, 3_500_000_000).turn == pytest.approx(0.2)
 
 
+def test_motion_is_unknown_before_a_command_has_come() -> None:
+    log = CommandLog()
+    assert log.known_motion(0, 1_000_000_000) is None
+    log.add(2_000_000_000, Velocity(0.4, 0.0))
+    assert log.known_motion(0, 1_000_000_000) is None, "on another clock, as of a bag, commands say nothing either"
+    assert log.known_motion(1_000_000_000, 3_000_000_000) == Motion(0.4, 0.0, 1.0)
+
+
 def test_segments_are_as_long_as_odometry_says_and_turn_as_was_driven() -> None:
     assert segments(straight_path(3, angular=0.5)) == (
         Motion(pytest.approx(0.2), pytest.approx(0.25), 0.5),
@@ -48,6 +56,14 @@ def test_a_place_between_two_nodes_is_found_without_any_command() -> None:
         found = localiser.update(pinhole_view(6.5, 4.0 * DEG, gain=0.5))
     assert found.index == pytest.approx(6.5, abs=0.5)
     assert found.confidence > 0.8 and not found.is_lost
+
+
+def test_on_a_path_of_images_alone_commands_do_not_hold_the_place() -> None:
+    nodes = tuple(PathNode(node.view, node.stamp_ns, 0.0, ()) for node in straight_path().nodes)
+    localiser = Localiser(RecordedPath("pinhole", straight_path().hfov, nodes))
+    for index in range(10):
+        found = localiser.update(pinhole_view(index), NODE)
+    assert found.index == pytest.approx(9.0, abs=0.4) and not found.is_lost
 
 
 def test_the_belief_moves_with_the_commands_and_images_correct_what_slips() -> None:

@@ -23,6 +23,7 @@ from gibson_path_following.errors import ModelError, SettingError, ViewError  # 
 from gibson_path_following.nodes import conversions  # noqa: E402
 from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
 from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
+from gibson_path_following.nodes.path_localiser import PathLocaliserNode  # noqa: E402
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
 from gibson_path_following.path_folder import save_path  # noqa: E402
 from gibson_path_following.types import PathNode, RecordedPath, Velocity, View  # noqa: E402
@@ -164,6 +165,22 @@ def test_stamps_that_go_back_begin_the_path_again(context: Any, folder: Path) ->
     driven.see(0, 1)
     assert driven.node._follower.place.index < 1.0
     driven.node.destroy_node()
+
+
+def test_a_robot_that_is_pushed_is_localised_by_its_images_alone(context: Any, folder: Path) -> None:
+    node = PathLocaliserNode(
+        context=context, parameter_overrides=[Parameter("path", value=str(folder)), Parameter("use_camera_info", value=False)]
+    )
+    places: list[Any] = []
+    node._publisher.publish = lambda stamp_ns, place, state: places.append(place)
+    node._on_command(Twist())  # from a node that has ended: it has no publisher now
+    for k in range(10):
+        msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(k).tobytes())
+        msg.header.stamp = conversions.time_msg((k + 1) * TICK + node.get_clock().now().nanoseconds)
+        node._input._on_image("front", "camera/image_raw", False, msg)
+    assert [place.is_lost for place in places] == [True] + 9 * [False]
+    assert [place.index for place in places[1:]] == pytest.approx(range(1, 10), abs=0.5)
+    node.destroy_node()
 
 
 def test_images_wait_for_their_camera_info(context: Any, folder: Path) -> None:

@@ -187,6 +187,8 @@ class Localiser:
         squared = self._distance**2 + (self.settings.metres_per_radian * self._turn) ** 2
         self._squared_length = np.maximum(squared, (0.25 * path.spacing) ** 2)
         """(cells,), squared length of each cell's segment, rotation included, square metres."""
+        self._has_motion = bool(self._distance.any() or self._turn.any())
+        """Whether the path has distances or turns; commands predict no place on one recorded from images alone."""
         self._spacing = path.spacing
         self._belief: F64 = np.full(len(self.indices), 1.0 / len(self.indices))
         self._misfits = 0
@@ -238,11 +240,12 @@ class Localiser:
 
         Args:
             view: the images.
-            motion: commanded motion since the previous view; None = unknown.
+            motion: commanded motion since the previous view; None = unknown, as on a path without distances and turns.
 
         Raises:
             ViewError: the images are not those of the path's camera.
         """
+        motion = motion if self._has_motion else None
         matches = self.nodes.matcher.match(self.nodes.descriptor(view))
         steps = self._predict(motion)
         step = 0.0

@@ -66,7 +66,7 @@ class CommandLog:
         self._sent: list[tuple[int, Velocity]] = []
 
     def clear(self) -> None:
-        """Drops all commands; the robot stands."""
+        """Drops all commands."""
         self._sent.clear()
 
     def add(self, now_ns: int, velocity: Velocity) -> None:
@@ -84,5 +84,9 @@ class CommandLog:
         return self._sent[-1][1] if self._sent else STOP
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:
-        """Returns the commanded motion in an interval, ns."""
+        """Returns the commanded motion in an interval, ns; before the first command the robot stands."""
         return motion_between(self._sent, start_ns, end_ns)
+
+    def known_motion(self, start_ns: int, end_ns: int) -> Motion | None:
+        """Returns the commanded motion in an interval, ns; None = unknown: no command precedes its end."""
+        return self.motion(start_ns, end_ns) if self._sent and self._sent[0][0] <= end_ns else None

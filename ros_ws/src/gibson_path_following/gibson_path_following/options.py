@@ -83,7 +83,7 @@ class LocaliserOptions(CameraOptions):
 
     path: str = option("", "folder of the path")
     start: float = option(-1.0, "node where the robot is at the start; -1 = anywhere", -1.0, 1e6)
-    use_commands: bool = option(True, "expect the motion of cmd_vel; else localise from images alone")
+    use_commands: bool = option(True, "predict the motion by cmd_vel while it has a publisher; false = localise by images alone")
     stamped: bool = option(False, "cmd_vel is geometry_msgs/TwistStamped")
 
     def __post_init__(self) -> None:

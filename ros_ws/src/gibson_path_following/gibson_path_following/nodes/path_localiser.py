@@ -60,7 +60,8 @@ class PathLocaliserNode(Node):
 
     Subscribes:
         the image topics, and camera_info beside them.
-        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``), with ``use_commands``: the motion to expect.
+        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``), with ``use_commands``: the motion to expect. Without a publisher
+            the motion is unknown, and the robot is localised by the images alone.
 
     Publishes, with each view:
         path/index (std_msgs/Float32): node, with a fraction. path/confidence (std_msgs/Float32): 0 to 1. path/lost (std_msgs/Bool).
@@ -83,8 +84,9 @@ class PathLocaliserNode(Node):
         self._localised_ns: int | None = None
         self._publisher = PlacePublisher(self, len(path.nodes))
         height, width = path.nodes[0].view[0].shape[:2]
+        self._commands: Any = None
         if o.use_commands:
-            self.create_subscription(TwistStamped if o.stamped else Twist, "cmd_vel", self._on_command, 50)
+            self._commands = self.create_subscription(TwistStamped if o.stamped else Twist, "cmd_vel", self._on_command, 50)
         self._reset()
         self._input = CameraInput(self, o, path.camera, (width, height), path.hfov, self._on_view, self._reset)
 
@@ -99,16 +101,21 @@ class PathLocaliserNode(Node):
             self._log.add(self.get_clock().now().nanoseconds, velocity)
 
     def _on_view(self, stamp_ns: int, view: View) -> None:
-        motion: Motion | None = None
-        if self._options.use_commands and self._localised_ns is not None:
-            motion = self._log.motion(self._localised_ns, stamp_ns)
         try:
-            place = self._localiser.update(view, motion)
+            place = self._localiser.update(view, self._motion(stamp_ns))
         except PathFollowingError as error:
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
         self._localised_ns = stamp_ns
         self._publisher.publish(stamp_ns, place, "lost" if place.is_lost else "localised")
+
+    def _motion(self, stamp_ns: int) -> Motion | None:
+        """Returns the commanded motion since the previous view; None = unknown."""
+        if self._commands is None or self._localised_ns is None:
+            return None
+        if not self.count_publishers(self._commands.topic_name):  # a person may push the robot now
+            self._log.clear()
+        return self._log.known_motion(self._localised_ns, stamp_ns)
 
     def stop(self) -> None:
         """Ends the subscriptions."""
