@@ -18,14 +18,16 @@ from geometry_msgs.msg import Twist  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, Joy  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
-from gibson_path_following.errors import ModelError, SettingError, ViewError  # noqa: E402
+from gibson_path_following.errors import ModelError, PathFolderError, SettingError, ViewError  # noqa: E402
 from gibson_path_following.nodes import conversions  # noqa: E402
 from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
 from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
 from gibson_path_following.nodes.path_localiser import PathLocaliserNode  # noqa: E402
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
-from gibson_path_following.path_folder import save_path  # noqa: E402
+from gibson_path_following.nodes.path_recorder import PathRecorderNode  # noqa: E402
+from gibson_path_following.path_folder import load_path, save_path  # noqa: E402
 from gibson_path_following.types import PathNode, RecordedPath, Velocity, View  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -165,6 +167,59 @@ def test_stamps_that_go_back_begin_the_path_again(context: Any, folder: Path) ->
     driven.see(0, 1)
     assert driven.node._follower.place.index < 1.0
     driven.node.destroy_node()
+
+
+class Recording:
+    """The recorder, which gets a node for each image."""
+
+    def __init__(self, context: Any, folder: Path, **parameters: Any) -> None:
+        values = {
+            "folder": str(folder),
+            "use_camera_info": False,
+            "camera_hfov_deg": 80.0,
+            "use_odometry": False,
+            "interval": 0.2,
+            "autostart": True,
+            **parameters,
+        }
+        self.node = PathRecorderNode(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in values.items()])
+        self._on_image = self.node._input._on_image  # as a message that came before the recording ended
+
+    def see(self, node: int, stamp_ns: int) -> None:
+        msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
+        msg.header.stamp = conversions.time_msg(stamp_ns)
+        self._on_image("front", "camera/image_raw", False, msg)
+
+
+def test_a_path_is_written_when_stamps_go_back_and_the_next_one_does_not_replace_it(context: Any, tmp_path: Path) -> None:
+    recording = Recording(context, tmp_path / "new")
+    for k in range(8):
+        recording.see(k, 10 * NS + k * TICK)
+    recording.see(0, NS)
+    recording.see(1, 2 * NS)
+    assert len(load_path(tmp_path / "new").nodes) == 8
+    answer = recording.node._on_start(None, Trigger.Response())
+    assert not answer.success
+    assert answer.message == f"cannot write {tmp_path / 'new'}: it exists; give a new folder, or set replace to true"
+    recording.node.stop()
+    assert len(load_path(tmp_path / "new").nodes) == 8
+    recording.node.destroy_node()
+
+
+def test_a_recording_goes_on_if_stamps_go_back_before_the_robot_drives(context: Any, tmp_path: Path) -> None:
+    recording = Recording(context, tmp_path / "new")
+    recording.see(0, 10 * NS)
+    for k in range(4):
+        recording.see(k, NS + k * TICK)
+    recording.node.stop()
+    assert [node.stamp_ns for node in load_path(tmp_path / "new").nodes] == [NS + k * TICK for k in range(4)]
+    recording.node.destroy_node()
+
+
+def test_a_folder_that_exists_is_refused_before_anything_is_recorded(context: Any, folder: Path) -> None:
+    with pytest.raises(PathFolderError, match="it exists; give a new folder, or set replace to true"):
+        Recording(context, folder)
+    Recording(context, folder, replace=True).node.destroy_node()
 
 
 def test_a_robot_that_is_pushed_is_localised_by_its_images_alone(context: Any, folder: Path) -> None:

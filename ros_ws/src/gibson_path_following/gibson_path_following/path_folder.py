@@ -63,11 +63,9 @@ def save_path(path: RecordedPath, folder: str | Path, *, replace: bool = False) 
     """
     folder = Path(folder)
     check_path(path, f"cannot write {folder}")
+    check_folder(folder, replace=replace)
     draft = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     try:
-        if folder.exists() and not (replace and (folder / SETTINGS_FILE).is_file()):
-            what = "exists without a path in it" if replace else "exists"
-            raise PathFolderError(f"cannot write {folder}: it {what}; give a new folder")
         draft.mkdir(parents=True)
         try:
             _write(path, draft)
@@ -78,6 +76,28 @@ def save_path(path: RecordedPath, folder: str | Path, *, replace: bool = False) 
             shutil.rmtree(draft, ignore_errors=True)
     except (OSError, ValueError) as error:
         raise PathFolderError(f"cannot write {folder}: {_reason(error)}") from error
+
+
+def check_folder(folder: str | Path, *, replace: bool = False) -> None:
+    """Checks that a path may be written to a folder.
+
+    Args:
+        folder: a new folder.
+        replace: whether the folder may be one with a path.
+
+    Raises:
+        PathFolderError: it exists.
+    """
+    folder = Path(folder)
+    try:
+        if not folder.exists() or (replace and (folder / SETTINGS_FILE).is_file()):
+            return
+    except (OSError, ValueError) as error:
+        raise PathFolderError(f"cannot write {folder}: {_reason(error)}") from error
+    if replace:
+        raise PathFolderError(f"cannot write {folder}: it exists without a path in it; give a new folder")
+    hint = ", or set replace to true" if (folder / SETTINGS_FILE).is_file() else ""
+    raise PathFolderError(f"cannot write {folder}: it exists; give a new folder{hint}")
 
 
 def load_path(folder: str | Path) -> RecordedPath:

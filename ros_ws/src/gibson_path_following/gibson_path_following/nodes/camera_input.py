@@ -34,7 +34,7 @@ class CameraInput:
         size: width and height of its images, pixels.
         hfov: its horizontal field of view, radians; None = all that the first calibrated camera sees.
         on_view: receives the stamp, ns, and the view.
-        on_jump: called when stamps have gone back.
+        on_jump: called when stamps have gone back by more than a second; it says what the node does then.
 
     Raises:
         SettingError: the number of topics is not that of the camera's images.
@@ -98,9 +98,10 @@ class CameraInput:
         stamp = conversions.stamp_ns(msg.header.stamp)
         used = self._used_ns.get(name)
         if used is not None and stamp < used - _BACK_NS:
-            self._node.get_logger().warning("stamps have gone back: beginning again")
             self._used_ns.clear()
             self._on_jump()
+            if not self._subscriptions:
+                return
             used = None
         # A tenth of tolerance: stamps of a real camera jitter.
         if used is not None and stamp - used < 0.9 * self._period_ns:

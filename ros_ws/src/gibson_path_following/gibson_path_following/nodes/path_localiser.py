@@ -88,7 +88,11 @@ class PathLocaliserNode(Node):
         if o.use_commands:
             self._commands = self.create_subscription(TwistStamped if o.stamped else Twist, "cmd_vel", self._on_command, 50)
         self._reset()
-        self._input = CameraInput(self, o, path.camera, (width, height), path.hfov, self._on_view, self._reset)
+        self._input = CameraInput(self, o, path.camera, (width, height), path.hfov, self._on_view, self._on_jump)
+
+    def _on_jump(self) -> None:
+        self.get_logger().warning("stamps have gone back: localising anew")
+        self._reset()
 
     def _reset(self) -> None:
         self._localiser.reset(self._options.start if self._options.start >= 0.0 else None)

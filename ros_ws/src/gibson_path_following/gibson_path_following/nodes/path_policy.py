@@ -177,6 +177,7 @@ class PathPolicyNode(LifecycleNode):
 
     def _on_jump(self) -> None:
         assert self._follower is not None
+        self.get_logger().warning("stamps have gone back: following anew from the start of the path")
         self._follower.reset()
         self._joy_ns = self._ended_ns = None
 

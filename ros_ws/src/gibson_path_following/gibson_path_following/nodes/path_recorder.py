@@ -18,13 +18,16 @@ from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import RecorderOptions
-from gibson_path_following.path_folder import save_path
+from gibson_path_following.path_folder import check_folder, save_path
 from gibson_path_following.recording import PathRecorder, RecorderSettings
 from gibson_path_following.types import CameraKind, View
 
 
 class PathRecorderNode(Node):
-    """Records a path.
+    """Records a path as a folder of images, while any node drives the robot.
+
+    The folder is written when the recording ends: at path_recorder/stop, at Ctrl-C or SIGTERM, or when stamps go back (a reset of the
+    simulation). Until then the path is in memory alone.
 
     Parameters: the fields of ``gibson_path_following.options.RecorderOptions``.
 
@@ -44,7 +47,7 @@ class PathRecorderNode(Node):
         """Reads the parameters. ``kwargs`` go to ``rclpy.node.Node``.
 
         Raises:
-            SettingError: a parameter cannot be used.
+            PathFollowingError: a parameter or, with ``autostart``, the folder cannot be used.
         """
         super().__init__("path_recorder", **kwargs)
         self._options = o = declared(self, RecorderOptions)
@@ -62,7 +65,13 @@ class PathRecorderNode(Node):
             self._start()
 
     def _start(self) -> None:
+        """Begins to record.
+
+        Raises:
+            PathFollowingError: the folder exists.
+        """
         o = self._options
+        check_folder(o.folder, replace=o.replace)
         hfov = math.radians(o.hfov_deg) if o.hfov_deg > 0.0 else None
         self._input = CameraInput(self, o, cast("CameraKind", o.camera), (o.width, o.height), hfov, self._on_view, self._on_jump)
         self._begin()
@@ -93,9 +102,18 @@ class PathRecorderNode(Node):
             self._report()
 
     def _on_jump(self) -> None:
-        if self._recorder is not None and self._recorder.nodes:
-            self.get_logger().warning(f"{self._recorder.nodes} nodes from before are discarded")
-        self._begin()
+        if self._recorder is None or self._recorder.nodes < 2:  # the robot has not driven yet
+            self._begin()
+            return
+        try:
+            wrote = self._save()
+        except PathFollowingError as error:
+            self.get_logger().error(f"the recording has ended, since stamps went back: {error}")
+            return
+        again = (
+            "call path_recorder/start" if self._options.replace else "start the node with another folder, or with replace:=true"
+        )
+        self.get_logger().warning(f"the recording has ended, since stamps went back: {wrote}; to record again, {again}")
 
     def _on_command(self, msg: Any) -> None:
         velocity = conversions.velocity_from(msg)
