@@ -197,6 +197,16 @@ def test_it_stops_when_images_are_too_old_and_goes_on_with_new_ones() -> None:
     assert follower.state == "following"
 
 
+def test_it_stops_at_images_from_the_future_and_when_none_arrive_although_their_stamps_are_ahead() -> None:
+    follower, _ = _follower(stale_after=0.5)
+    last = _found(follower)
+    assert follower.tick(last - 500_000_001) == STOP and follower.state == "stale"
+    arrived = last + 200_000_000
+    follower.observe(arrived + 400_000_000, pinhole_view(1), arrived)
+    assert follower.tick(arrived + 500_000_000) == Velocity(0.4, 0.0)
+    assert follower.tick(arrived + 500_000_001) == STOP and follower.state == "stale"
+
+
 def test_it_stops_at_a_covered_lens_and_goes_on_after() -> None:
     follower, policy = _follower()
     last = _found(follower, 4)

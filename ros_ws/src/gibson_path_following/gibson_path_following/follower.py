@@ -20,8 +20,8 @@ from gibson_path_following.preprocessing import texture
 from gibson_path_following.types import STOP, Place, Policy, RecordedPath, SelfLocalisingPolicy, Step, Velocity, View
 
 State = Literal["following", "lost", "searching", "stale", "finished"]
-"""following; lost: the images fit nowhere on the path, or the lens is covered; searching: lost, and rotating in place; stale: no new images;
-finished: at the end of the path."""
+"""following; lost: the images fit nowhere on the path, or the lens is covered; searching: lost, and rotating in place; stale: no new images, or
+their stamps are far from the present; finished: at the end of the path."""
 _SEARCH_TURN = math.radians(60.0)
 """Rotation of a search to either side, radians."""
 _SEARCH_RATE = 0.4
@@ -39,7 +39,7 @@ class FollowerSettings:
     """When a follower stops, and where it starts."""
 
     stale_after: float = 0.5
-    """Age of the newest images at which the robot stops, seconds."""
+    """Age of the newest images, and time since they arrived, at which the robot stops, seconds."""
     latency: float = 0.0
     """Prior mean of the latency from a command to its motion, seconds; the true one is learned from column shifts after commands."""
     min_texture: float = 2.0
@@ -106,6 +106,8 @@ class PathFollower:
         self._log = CommandLog()
         self._stamp_ns: int | None = None
         """Stamp of the newest view, ns."""
+        self._arrived_ns = 0
+        """When it arrived, ns."""
         self._localised_ns: int | None = None
         """Stamp of the newest localised view, ns."""
         self._model = MotionModel(self.settings.latency)
@@ -130,19 +132,20 @@ class PathFollower:
         self.localiser.reset(self.settings.start, self.settings.start_deviation)
         self._policy.reset()
 
-    def observe(self, stamp_ns: int, view: View) -> Velocity:
+    def observe(self, stamp_ns: int, view: View, now_ns: int | None = None) -> Velocity:
         """Returns the velocity until the next view. A view that is not newer than the previous one changes nothing.
 
         Args:
             stamp_ns: stamp of the images, ns.
             view: the images.
+            now_ns: when they arrived, on the clock of ``tick``, ns; None = at their stamp.
 
         Raises:
             ViewError: the images are not those of the path's camera.
         """
         if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
             return self._log.last
-        self._stamp_ns = stamp_ns
+        self._stamp_ns, self._arrived_ns = stamp_ns, stamp_ns if now_ns is None else now_ns
         if self.state == "finished":
             return self._send(stamp_ns, STOP)
         if texture(view) < self.settings.min_texture:
@@ -190,11 +193,17 @@ class PathFollower:
         Args:
             now_ns: present time on the clock of the stamps, ns.
         """
-        age_ns = None if self._stamp_ns is None else now_ns - self._stamp_ns
-        if self.state != "finished" and (age_ns is None or age_ns > self.settings.stale_after * NS_PER_S):
+        if self.state != "finished" and self._is_stale(now_ns):
             self.state = "stale"
             return self._send(now_ns, STOP)
         return self._log.last
+
+    def _is_stale(self, now_ns: int) -> bool:
+        """Returns whether there is no view, the newest one arrived too long ago, or its stamp is too old or too far in the future."""
+        if self._stamp_ns is None:
+            return True
+        # The stamp alone is not enough: a camera whose clock is ahead may have died long ago.
+        return max(abs(now_ns - self._stamp_ns), now_ns - self._arrived_ns) > self.settings.stale_after * NS_PER_S
 
     def hold(self, now_ns: int) -> Velocity:
         """Commands a stop: a dead man's switch, for example, does not let the robot drive.
