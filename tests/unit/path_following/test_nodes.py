@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,7 @@ require("rclpy", "sensor_msgs", "lifecycle_msgs")
 
 import rclpy  # noqa: E402
 from geometry_msgs.msg import Twist  # noqa: E402
+from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, Joy  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
@@ -27,6 +31,8 @@ from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa
 from gibson_path_following.nodes.path_localiser import PathLocaliserNode  # noqa: E402
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
 from gibson_path_following.nodes.path_recorder import PathRecorderNode  # noqa: E402
+from gibson_path_following.nodes.running import run_node  # noqa: E402
+from gibson_path_following.options import Options  # noqa: E402
 from gibson_path_following.path_folder import load_path, save_path  # noqa: E402
 from gibson_path_following.types import PathNode, RecordedPath, Velocity, View  # noqa: E402
 
@@ -266,10 +272,87 @@ def test_parameters_that_cannot_be_used_are_one_line(context: Any, folder: Path,
         Driven(context, folder, **values)
 
 
+def test_a_misspelt_parameter_is_warned_of_and_those_of_ros_are_not(
+    context: Any, folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    Driven(
+        context, folder, max_liner=0.2, use_sim_time=False, **{"qos_overrides./clock.subscription.depth": 1}
+    ).node.destroy_node()
+    warned = [line for line in capfd.readouterr().err.splitlines() if "is unknown" in line]
+    assert len(warned) == 1 and "parameter 'max_liner' is unknown and has no effect; did you mean 'max_linear'?" in warned[0]
+
+
+PROGRAMS = ("path_recorder", "path_localiser", "path_policy", "path_evaluator", "camera_faults", "goggles")
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_help_says_what_a_node_does_and_lists_topics_and_parameters(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    module = importlib.import_module(f"gibson_path_following.nodes.{name}")
+    for option in ("-h", "--help"):
+        with pytest.raises(SystemExit) as ended:
+            module.main([option])
+        assert ended.value.code == 0
+    text = capsys.readouterr().out
+    assert "\nSubscribes" in text and "\nParameters:\n  " in text and "``" not in text and "options." not in text
+
+
+@pytest.mark.parametrize(
+    ("args", "line"),
+    [
+        (
+            ["kitchen"],
+            "error: argument 'kitchen' is unknown; parameters are given as --ros-args -p NAME:=VALUE; --help lists them\n",
+        ),
+        (["--ros-args", "--folder", "kitchen"], "error: ROS cannot start: unknown ROS arguments: ['--folder', 'kitchen']\n"),
+    ],
+)
+@pytest.mark.usefixtures("ros_domain", "handlers")
+def test_an_argument_that_there_is_not_is_one_line(args: list[str], line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run_node(Interrupted, Options, args)
+    assert ended.value.code == 1 and capsys.readouterr().err == line
+
+
+class Interrupted(Node):
+    """Gets SIGINT while it runs, and again while it stops."""
+
+    def __init__(self) -> None:
+        super().__init__("interrupted")
+        self.exit_code: int | None = None
+        self.create_timer(0.01, self._interrupt)
+
+    def _interrupt(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        self.exit_code = 5
+
+    def stop(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        print("stopped")
+
+
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    """Ignores SIGINT, as in the background of a shell script, and restores the handlers that the node replaces."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("ros_domain", "handlers")
+def test_sigint_ends_a_node_in_the_background_of_a_script_and_a_second_one_does_not_disturb_its_end(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run_node(Interrupted, Options, [])
+    assert ended.value.code == 0 and capsys.readouterr().out == "stopped\n"
+
+
 def test_descriptions_and_ranges_are_declared(context: Any, folder: Path) -> None:
     driven = Driven(context, folder)
     descriptor = driven.node.describe_parameter("max_linear")
-    assert descriptor.description == "largest speed, m/s"
+    assert descriptor.description == "maximum speed, m/s"
     assert (descriptor.floating_point_range[0].from_value, descriptor.floating_point_range[0].to_value) == (0.01, 10.0)
     driven.node.destroy_node()
 

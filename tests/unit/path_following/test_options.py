@@ -8,9 +8,19 @@ from typing import Any
 import pytest
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.options import EvaluatorOptions, LocaliserOptions, Options, PolicyOptions, RecorderOptions
+from gibson_path_following.options import (
+    EvaluatorOptions,
+    FaultOptions,
+    GogglesOptions,
+    LocaliserOptions,
+    Options,
+    PolicyOptions,
+    RecorderOptions,
+    describe,
+    unknown_name,
+)  # fmt: skip
 
-KINDS = (RecorderOptions, LocaliserOptions, PolicyOptions, EvaluatorOptions)
+KINDS = (RecorderOptions, LocaliserOptions, PolicyOptions, EvaluatorOptions, FaultOptions, GogglesOptions)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -36,3 +46,25 @@ def test_every_parameter_has_a_description_and_every_number_limits(kind: type[Op
 def test_values_that_are_not_allowed_are_one_line(kind: type[Options], values: dict[str, Any], part: str) -> None:
     with pytest.raises(SettingError, match=part):
         kind(**values)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_parameter_is_described_with_its_default(kind: type[Options]) -> None:
+    lines = describe(kind).splitlines()
+    assert [line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "] == [one.name for one in fields(kind)]
+    assert max(map(len, lines)) <= 100
+
+
+def test_a_description_has_type_limits_and_default() -> None:
+    text = describe(PolicyOptions)
+    assert "  max_linear  (float, 0.01 to 10; default 0.5)\n      maximum speed, m/s\n" in text
+    assert "  image_topics  (list of strings; default [camera/image_raw])\n" in text
+    assert "  path  (string; default empty)\n" in text and "  search  (bool; default true)\n" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [("mod", "did you mean 'mode'?"), ("zzz", "--help lists the parameters of this node")],
+)
+def test_a_parameter_that_there_is_not_gets_a_hint(name: str, hint: str) -> None:
+    assert unknown_name(name, GogglesOptions) == f"parameter '{name}' is unknown and has no effect; {hint}"

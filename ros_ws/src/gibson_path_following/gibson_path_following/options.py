@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import math
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 from typing import Any
 
 from gibson_path_following.errors import SettingError, quoted
@@ -28,6 +30,18 @@ class Options:
             _check(one.name, value, one.default, one.metadata["least"], one.metadata["most"])
 
 
+def describe(kind: type[Options]) -> str:
+    """Returns the parameters of a node as text: type, limits, default and description of each."""
+    return "\n".join(_described(one) for one in fields(kind))
+
+
+def unknown_name(name: str, kind: type[Options]) -> str:
+    """Returns the line of a warning about a parameter that a node does not have."""
+    near = difflib.get_close_matches(name, [one.name for one in fields(kind)], 1, 0.5)
+    hint = f"did you mean {quoted(near[0])}?" if near else "--help lists the parameters of this node"
+    return f"parameter {quoted(name)} is unknown and has no effect; {hint}"
+
+
 @dataclass(frozen=True)
 class CameraOptions(Options):
     """The robot's camera, or pair of cameras."""
@@ -41,7 +55,7 @@ class CameraOptions(Options):
     camera_hfov_deg: float = option(
         0.0, "horizontal field of view of a camera without calibration, degrees; 0 = that of the path", 0.0, 360.0
     )
-    rate_hz: float = option(5.0, "images a second that are used at most, by their stamps; 0 = all", 0.0, 1000.0)
+    rate_hz: float = option(5.0, "maximum rate at which images are used, by their stamps; 0 = all", 0.0, 1000.0)
     sync_tolerance: float = option(0.02, "largest difference between the stamps of front and back, seconds", 0.0, 1.0)
 
 
@@ -49,10 +63,10 @@ class CameraOptions(Options):
 class RecorderOptions(CameraOptions):
     """Parameters of ``path_recorder``."""
 
-    rate_hz: float = option(10.0, "images a second that are used at most, by their stamps; 0 = all", 0.0, 1000.0)
-    folder: str = option("path", "folder of the path")
+    rate_hz: float = option(10.0, "maximum rate at which images are used, by their stamps; 0 = all", 0.0, 1000.0)
+    folder: str = option("path", "folder of the path, which is written when the recording ends")
     replace: bool = option(False, "whether an older path in that folder is replaced")
-    autostart: bool = option(False, "record from the start on, until stop is called or the node ends")
+    autostart: bool = option(False, "record at once, until path_recorder/stop is called or the node ends")
     camera: str = option("pinhole", f"kind of the path's camera: {' or '.join(IMAGES_OF)}")
     width: int = option(96, "width of the path's images, pixels", 16, 4096)
     height: int = option(64, "height of the path's images, pixels", 16, 4096)
@@ -60,10 +74,10 @@ class RecorderOptions(CameraOptions):
         0.0, "horizontal field of view of the path's images, degrees; 0 = all that a calibrated camera sees", 0.0, 360.0
     )
     spacing: float = option(0.2, "distance between nodes, metres", 0.01, 10.0)
-    turn_deg: float = option(20.0, "turn after which a node follows even without distance, degrees", 1.0, 360.0)
+    turn_deg: float = option(20.0, "turn after which a node is added at any distance, degrees", 1.0, 360.0)
     interval: float = option(
         0.0,
-        "time after which a node follows even without distance, seconds; 0 = never. For images alone, without odom and cmd_vel",
+        "time after which a node is added at any distance, seconds; 0 = never. For images alone, without odom and cmd_vel",
         0.0,
         3600.0,
     )
@@ -81,7 +95,7 @@ class RecorderOptions(CameraOptions):
 class LocaliserOptions(CameraOptions):
     """Parameters of ``path_localiser``."""
 
-    path: str = option("", "folder of the path")
+    path: str = option("", "folder of the path; must be given")
     start: float = option(-1.0, "node where the robot is at the start; -1 = anywhere", -1.0, 1e6)
     use_commands: bool = option(True, "predict the motion by cmd_vel while it has a publisher; false = localise by images alone")
     stamped: bool = option(False, "cmd_vel is geometry_msgs/TwistStamped")
@@ -95,20 +109,22 @@ class LocaliserOptions(CameraOptions):
 class PolicyOptions(CameraOptions):
     """Parameters of ``path_policy``."""
 
-    path: str = option("", "folder of the path")
+    path: str = option("", "folder of the path; must be given")
     backend: str = option("teach_repeat", "teach_repeat; learned, or learned:FILE with another network; onnx:FILE")
     autostart: bool = option(True, "configure and activate without a lifecycle manager")
     start: float = option(0.0, "node where the robot is at the start; -1 = anywhere", -1.0, 1e6)
-    max_linear: float = option(0.5, "largest speed, m/s", 0.01, 10.0)
-    max_angular: float = option(1.0, "largest yaw rate, rad/s", 0.01, 10.0)
+    max_linear: float = option(0.5, "maximum speed, m/s", 0.01, 10.0)
+    max_angular: float = option(1.0, "maximum yaw rate, rad/s", 0.01, 10.0)
     stale_after: float = option(0.5, "age of the newest images at which the robot stops, seconds", 0.05, 60.0)
     camera_ahead: float = option(
         0.12, "distance of the camera in front of the middle of the wheels, metres; for learned", -5.0, 5.0
     )
-    latency: float = option(0.0, "usual time from a command to its motion, seconds", 0.0, 10.0)
+    latency: float = option(
+        0.0, "expected time from a command to its motion, seconds; the true one is learned while driving", 0.0, 10.0
+    )
     search: bool = option(True, "a robot that is lost turns in place to either side, once and slowly, to find the path again")
     watchdog_hz: float = option(
-        10.0, "how often commands are sent and the age of the images is checked, in the robot's time", 1.0, 100.0
+        10.0, "rate at which commands are sent and the age of the images is checked, Hz, in ROS time", 1.0, 100.0
     )
     stamped: bool = option(False, "send geometry_msgs/TwistStamped")
     base_frame: str = option("base_footprint", "frame of TwistStamped")
@@ -124,7 +140,7 @@ class PolicyOptions(CameraOptions):
 class EvaluatorOptions(Options):
     """Parameters of ``path_evaluator``."""
 
-    path: str = option("", "folder of the path; its nodes need poses in the frame of ground_truth/odom")
+    path: str = option("", "folder of the path, must be given; its nodes need poses in the frame of ground_truth/odom")
     file: str = option("path_following.json", "file of the results")
     collision_topic: str = option("bumper", "topic of collisions; empty = none is counted")
     collision_type: str = option(
@@ -132,7 +148,7 @@ class EvaluatorOptions(Options):
         "its type: a message with a bool `data`, or with `count` and `ongoing` as gibson_msgs/msg/CollisionCount",
     )
     arrival_radius: float = option(0.5, "a node is visited, and the end reached, within this distance, metres", 0.01, 10.0)
-    time_limit: float = option(0.0, "ends the drive after this time, seconds in the robot's time; 0 = never", 0.0, 1e6)
+    time_limit: float = option(0.0, "ends the drive after this time, seconds of ROS time; 0 = never", 0.0, 1e6)
     exit_at_end: bool = option(True, "end when the results are written, with code 0")
 
     def __post_init__(self) -> None:
@@ -148,8 +164,8 @@ class FaultOptions(Options):
 
     cover_after: float = option(2.0, "time from the robot's first motion to when the lens is covered, seconds", 0.0, 3600.0)
     cover: float = option(0.0, "how long the lens is covered, seconds; 0 = never", 0.0, 3600.0)
-    drop: float = option(0.0, "part of the images that is missing, evenly spread: 0.5 is every other one", 0.0, 1.0)
-    delay: float = option(0.0, "how late images come, seconds, in steps of the time from one image to the next", 0.0, 60.0)
+    drop: float = option(0.0, "share of the images that is dropped, evenly spread: 0.5 = every other one", 0.0, 1.0)
+    delay: float = option(0.0, "delay of the images, seconds, in steps of their period", 0.0, 60.0)
     stamped: bool = option(False, "cmd_vel is geometry_msgs/TwistStamped")
 
 
@@ -176,6 +192,21 @@ class GogglesOptions(Options):
             raise SettingError(
                 f"parameter reference is {quoted(self.reference)}, which mode learned does not use; leave it empty"
             )
+
+
+def _described(one: Field[Any]) -> str:
+    least, most = one.metadata["least"], one.metadata["most"]
+    if isinstance(one.default, tuple):
+        kind, default = "list of strings", f"[{', '.join(one.default)}]"
+    elif isinstance(one.default, bool):
+        kind, default = "bool", str(one.default).lower()
+    elif isinstance(one.default, str):
+        kind, default = "string", one.default or "empty"
+    else:
+        kind, default = "float" if isinstance(one.default, float) else "integer", f"{one.default!r}"
+    limits = "" if least is None or most is None else f", {least:g} to {most:.9g}"
+    text = textwrap.fill(one.metadata["text"], 100, initial_indent=" " * 6, subsequent_indent=" " * 6)
+    return f"  {one.name}  ({kind}{limits}; default {default})\n{text}"
 
 
 def _check(name: str, value: Any, default: object, least: Any, most: Any) -> None:

@@ -66,7 +66,7 @@ class CameraFaultsNode(Node):
 
 def main(args: list[str] | None = None) -> None:
     """Runs the node."""
-    run_node(CameraFaultsNode, args)
+    run_node(CameraFaultsNode, FaultOptions, args)
 
 
 if __name__ == "__main__":

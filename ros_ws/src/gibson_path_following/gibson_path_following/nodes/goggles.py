@@ -70,7 +70,7 @@ class GogglesNode(Node):
 
 def main(args: list[str] | None = None) -> None:
     """Runs the node."""
-    run_node(GogglesNode, args)
+    run_node(GogglesNode, GogglesOptions, args)
 
 
 if __name__ == "__main__":

@@ -7,17 +7,23 @@ from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
-from gibson_path_following.options import Options
+from gibson_path_following.options import Options, unknown_name
 
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+"""Begins of the names of parameters that rclpy declares itself, some of them later."""
 _Options = TypeVar("_Options", bound=Options)
 
 
 def declared(node: Any, kind: type[_Options]) -> _Options:
-    """Declares a parameter for every field of ``kind`` and returns their values.
+    """Declares a parameter for every field of ``kind`` and returns their values; warns of values that were given for other names.
 
     Raises:
         SettingError: a value is not allowed.
     """
+    names = {one.name for one in fields(kind)}
+    for name in node._parameter_overrides:
+        if name not in names and not node.has_parameter(name) and not name.startswith(_OF_ROS):
+            node.get_logger().warning(unknown_name(name, kind))
     values = {}
     for one in fields(kind):
         default: Any = list(one.default) if isinstance(one.default, tuple) else one.default

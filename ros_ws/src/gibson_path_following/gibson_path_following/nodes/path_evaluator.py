@@ -29,7 +29,7 @@ _REST_NS = 1_000_000_000
 
 
 class PathEvaluatorNode(Node):
-    """Evaluates a drive.
+    """Evaluates a drive along a path by ground truth, in simulation.
 
     The drive begins with the first ``path/state`` that is ``following``, and ends a second after it is ``finished``, at the time limit, at
     a call, or with the node. The results are then written as JSON.
@@ -38,7 +38,7 @@ class PathEvaluatorNode(Node):
 
     Subscribes:
         ground_truth/odom (nav_msgs/Odometry): true pose of the robot, in the frame of the path's poses.
-        the collision topic.
+        ``collision_topic``, of ``collision_type``.
         path/state (std_msgs/String, latched): of ``path_policy``.
 
     Services (std_srvs/Trigger):
@@ -174,7 +174,7 @@ def _message_type(name: str) -> Any:
 
 def main(args: list[str] | None = None) -> None:
     """Runs the node."""
-    run_node(PathEvaluatorNode, args)
+    run_node(PathEvaluatorNode, EvaluatorOptions, args)
 
 
 if __name__ == "__main__":

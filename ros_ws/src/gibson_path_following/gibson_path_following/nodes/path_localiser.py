@@ -54,13 +54,14 @@ class PlacePublisher:
 
 
 class PathLocaliserNode(Node):
-    """Localises the robot on a path.
+    """Localises the robot on a recorded path by its images, without driving it.
 
     Parameters: the fields of ``gibson_path_following.options.LocaliserOptions``.
 
     Subscribes:
-        the image topics, and camera_info beside them.
-        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``), with ``use_commands``: the motion to expect. Without a publisher
+        the topics of ``image_topics`` (sensor_msgs/Image; sensor_msgs/CompressedImage for names that end in /compressed), and camera_info
+            (sensor_msgs/CameraInfo) beside them.
+        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``), with ``use_commands``: predict the motion. Without a publisher
             the motion is unknown, and the robot is localised by the images alone.
 
     Publishes, with each view:
@@ -128,7 +129,7 @@ class PathLocaliserNode(Node):
 
 def main(args: list[str] | None = None) -> None:
     """Runs the node."""
-    run_node(PathLocaliserNode, args)
+    run_node(PathLocaliserNode, LocaliserOptions, args)
 
 
 if __name__ == "__main__":

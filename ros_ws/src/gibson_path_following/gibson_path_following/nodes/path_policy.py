@@ -29,19 +29,19 @@ _REST_NS = 1_000_000_000
 
 
 class PathPolicyNode(LifecycleNode):
-    """Follows a path. It stops when the robot is lost, when images are missing or old, at the end, and when it is deactivated.
+    """Follows a recorded path by the images. It stops when the robot is lost, when images are missing or old, at the end, and when it is deactivated.
 
     A lifecycle node: configure loads the path, activate drives, deactivate stops. With ``autostart`` it does both by itself.
 
     Parameters: the fields of ``gibson_path_following.options.PolicyOptions``.
 
     Subscribes, while active:
-        the image topics, and camera_info beside them.
+        the topics of ``image_topics`` (sensor_msgs/Image; sensor_msgs/CompressedImage for names that end in /compressed), and camera_info
+            (sensor_msgs/CameraInfo) beside them.
         joy (sensor_msgs/Joy), with ``deadman_button``.
 
     Publishes:
-        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): with each view, and ``watchdog_hz`` times a second of the
-            robot's time.
+        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): with each view, and ``watchdog_hz`` times a second of ROS time.
         path/state (std_msgs/String, latched): following, lost, searching (lost, and rotating in place), stale, finished, held (the
             dead man's switch), failed (the policy could not use the newest view; the log says why) or inactive.
         path/index, path/confidence (std_msgs/Float32), path/lost (std_msgs/Bool): with each view; /diagnostics once a second.
@@ -236,7 +236,7 @@ class PathPolicyNode(LifecycleNode):
 
 def main(args: list[str] | None = None) -> None:
     """Runs the node."""
-    run_node(PathPolicyNode, args)
+    run_node(PathPolicyNode, PolicyOptions, args)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,8 @@ class PathRecorderNode(Node):
     Parameters: the fields of ``gibson_path_following.options.RecorderOptions``.
 
     Subscribes:
-        the image topics, and camera_info beside them.
+        the topics of ``image_topics`` (sensor_msgs/Image; sensor_msgs/CompressedImage for names that end in /compressed), and camera_info
+            (sensor_msgs/CameraInfo) beside them.
         cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): commands to the robot, from any node.
         odom (nav_msgs/Odometry), with ``use_odometry``.
 
@@ -166,7 +167,7 @@ class PathRecorderNode(Node):
 
 def main(args: list[str] | None = None) -> None:
     """Runs the node."""
-    run_node(PathRecorderNode, args)
+    run_node(PathRecorderNode, RecorderOptions, args)
 
 
 if __name__ == "__main__":

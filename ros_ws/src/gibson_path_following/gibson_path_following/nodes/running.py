@@ -1,35 +1,54 @@
-"""Runs a node as a program: parameters that cannot be used are one line and exit code 1, Ctrl-C and SIGTERM end it in order."""
+"""Runs a node as a program: ``--help`` describes it, what cannot be used is one line and an exit code, Ctrl-C and SIGTERM end it in order."""
 
 from __future__ import annotations
 
+import inspect
 import logging
 import signal
 import sys
-from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NoReturn
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
-from gibson_path_following.errors import PathFollowingError
+from gibson_path_following.errors import PathFollowingError, SettingError, quoted
+from gibson_path_following.options import Options, describe
 
 
-def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
+def run_node(kind: type[Any], options: type[Options], args: list[str] | None = None) -> None:
     """Runs a node with ``exit_code`` (None = go on) and ``stop()``, until it ends itself or is told to; exits the program.
 
     Args:
-        make: makes the node.
-        args: of ROS; None = those of the program.
+        kind: class of the node.
+        options: its parameters.
+        args: arguments of the program; None = those of this process.
     """
+    args = sys.argv[1:] if args is None else args
+    if {"-h", "--help"} & set(args):
+        print(help_text(kind, options))
+        sys.exit(0)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
-    signal.signal(signal.SIGTERM, _end)
-    # No signal handlers of rclpy: the context must stay valid until the node has stopped the robot, or has written its files.
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    # Python sets no handler of SIGINT in a process that a shell script started in the background.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
+    try:
+        # No signal handlers of rclpy: the context must stay valid until the node has stopped the robot, or has written its files.
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # an argument that rcl cannot parse, an invalid domain, missing SROS2 keys
+        unknown = "unknown ROS arguments: " if type(error).__name__ == "UnknownROSArgsError" else ""
+        print(f"error: ROS cannot start: {unknown}{error}", file=sys.stderr)
+        sys.exit(1)
     node, code = None, 0
     try:
-        node = make()
+        if others := remove_ros_args(args):
+            raise SettingError(
+                f"argument {quoted(others[0])} is unknown; parameters are given as --ros-args -p NAME:=VALUE; --help lists them"
+            )
+        node = kind()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and node.exit_code is None:
@@ -44,12 +63,23 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
         print(f"error: {error}", file=sys.stderr)
         code = 1
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        # ros2 launch sends a second SIGINT after that of the terminal.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             code = max(code, _stopped(node))
             node.destroy_node()
         rclpy.try_shutdown()
     sys.exit(code)
+
+
+def help_text(kind: type[Any], options: type[Options]) -> str:
+    """Returns what ``--help`` prints: what a node does, its topics and services by its docstring, and its parameters."""
+    about = "\n\n".join(part for part in inspect.cleandoc(kind.__doc__ or "").split("\n\n") if not part.startswith("Parameters:"))
+    return (
+        f"usage: {Path(sys.argv[0]).stem} [--ros-args [-p PARAMETER:=VALUE]... [-r TOPIC:=OTHER_TOPIC]... [--params-file FILE]]\n\n"
+        f"{about.replace('``', '')}\n\nParameters:\n{describe(options)}"
+    )
 
 
 def _stopped(node: Any) -> int:
@@ -66,5 +96,5 @@ def _stopped(node: Any) -> int:
 
 
 def _end(number: int, frame: object) -> NoReturn:
-    """Ends the program on SIGTERM as on Ctrl-C."""
+    """Ends the program on SIGINT and SIGTERM."""
     raise KeyboardInterrupt
