@@ -8,6 +8,7 @@ from gibson_path_following.backends import BACKENDS, make_policy
 from gibson_path_following.errors import ModelError, SettingError
 from gibson_path_following.learned import LearnedPolicy
 from gibson_path_following.teach_repeat import TeachRepeatPolicy
+from gibson_path_following.types import STOP, PathNode, RecordedPath
 from support.path_views import straight_path
 
 
@@ -22,6 +23,13 @@ def test_teach_and_repeat_has_the_limits_and_shares_its_nodes_with_the_localiser
 def test_a_network_that_is_not_there_is_named(name: str) -> None:
     with pytest.raises(ModelError, match=r"none\.onnx"):
         make_policy(name, straight_path())
+
+
+@pytest.mark.parametrize("backend", ["teach_repeat", "learned", "onnx:none.onnx"])
+def test_a_path_of_images_alone_is_refused(backend: str) -> None:
+    nodes = tuple(PathNode(node.view, node.stamp_ns, 0.0, ((0, STOP),)) for node in straight_path().nodes)
+    with pytest.raises(SettingError, match="12 nodes, but neither distances nor velocities.*localise on it with path_localiser"):
+        make_policy(backend, RecordedPath("pinhole", straight_path().hfov, nodes))
 
 
 @pytest.mark.parametrize("name", ["", "magic", "learned:", "onnx:", "teach_repeat:x"])

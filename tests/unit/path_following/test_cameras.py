@@ -74,7 +74,8 @@ def test_a_camera_that_sees_less_is_refused() -> None:
 @pytest.mark.parametrize(
     ("values", "part"),
     [({"model": "magic"}, "distortion_model is 'magic'"), ({"d": (1.0,), "model": "plumb_bob"}, "d has 1 values"),
-     ({"focal": -1.0}, "k is "), ({"focal": math.nan}, "k is ")],
+     ({"d": (math.nan,) * 4, "model": "plumb_bob"}, r"d is \(nan"), ({"d": (1e30,) * 4, "model": "plumb_bob"}, r"d is \(1e\+30"),
+     ({"focal": -1.0}, "k is "), ({"focal": math.nan}, "k is "), ({"focal": 1e9}, "the focal lengths are 1e\\+09 and")],
 )  # fmt: skip
 def test_a_calibration_that_cannot_be_is_refused(values: dict[str, object], part: str) -> None:
     with pytest.raises(SettingError, match=part):
@@ -90,3 +91,24 @@ def test_images_of_one_time_make_a_view() -> None:
     assert pair.add("back", 205, back) is None, "each image is used once"
     stamp, view = ViewAssembler("pinhole").add("front", 7, front) or (0, ())
     assert stamp == 7 and len(view) == 1
+
+
+@pytest.mark.parametrize(("cx", "cy"), [(0.0, 25.0), (-10.0, 25.0), (1e6, 25.0), (50.0, 49.0)])
+def test_a_principal_point_outside_of_the_image_is_refused(cx: float, cy: float) -> None:
+    with pytest.raises(SettingError, match=r"the principal point is .* must be within the 100x50 pixels of the images"):
+        Calibration(100, 50, (50.0, 0.0, cx, 0.0, 50.0, cy, 0.0, 0.0, 1.0), (), "")
+
+
+def test_a_lost_image_and_a_slow_camera_do_not_end_the_views() -> None:
+    pair: ViewAssembler[str] = ViewAssembler("fisheye_pair", tolerance_ns=5)
+    assert pair.gap_ns is None
+    # The back camera's images arrive after the next two of the front; that of 100 is lost.
+    assert [pair.add("front", stamp, f"front {stamp}") for stamp in (0, 50, 100)] == [None] * 3
+    assert pair.add("back", 0, "back 0") == (0, ("front 0", "back 0"))
+    assert pair.add("back", 51, "back 51") == (50, ("front 50", "back 51"))
+    assert pair.add("front", 150, "front 150") is None
+    assert pair.add("back", 175, "back 175") is None and pair.gap_ns == 25
+    assert pair.add("back", 150, "back 150") == (150, ("front 150", "back 150"))
+    pair.add("front", 200, "front 200")
+    pair.clear()
+    assert pair.add("back", 200, "back 200") is None

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gibson_path_following.errors import SettingError, quoted
 from gibson_path_following.localisation import Localiser, NodeMatcher
+from gibson_path_following.motions import has_motion
 from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
 from gibson_path_following.types import Policy, RecordedPath
 
@@ -26,8 +27,13 @@ def make_policy(
         camera_ahead: distance of the camera ahead of the robot's centre, metres; for ``learned``.
 
     Raises:
-        PathFollowingError: there is no such policy, or its network cannot be used.
+        PathFollowingError: there is no such policy, its network cannot be used, or the path was recorded from images alone.
     """
+    if not has_motion(path):
+        raise SettingError(
+            f"the path has {len(path.nodes)} nodes, but neither distances nor velocities: no robot can drive along it, since it was recorded "
+            "from images alone; localise on it with path_localiser, or record it with odom or cmd_vel"
+        )
     nodes = NodeMatcher(path)
     localiser = Localiser(path, nodes=nodes)
     name, _, file = backend.partition(":")

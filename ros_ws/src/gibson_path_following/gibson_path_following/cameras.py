@@ -6,16 +6,18 @@ touch the nearer sides of their images. The images of a calibrated camera are re
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections import deque
 from dataclasses import dataclass
-from typing import cast
+from typing import Generic, TypeVar, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError, ViewError, quoted
-from gibson_path_following.types import IMAGES_OF, CameraKind, Image, View
+from gibson_path_following.types import IMAGES_OF, CameraKind, Image
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -24,6 +26,13 @@ EQUIDISTANT = ("equidistant", "fisheye")
 _DISTORTIONS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14), "": (0,)} | {name: (0, 4) for name in EQUIDISTANT}
 _TOLERANCE = math.radians(1.0)
 """By how much the field of view of a camera may be smaller than that of the path, radians."""
+_MAX_WAITING = 10
+"""Images of one camera that wait for those of the other."""
+_MAX_FOCAL = 100.0
+"""Largest focal length, in widths of the image: half a degree."""
+_MAX_COEFFICIENT = 1e6
+"""Largest distortion coefficient."""
+_Image = TypeVar("_Image")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +57,24 @@ class Calibration:
             raise SettingError(
                 f"camera_info: d has {len(self.d)} values, {self.model or 'no model'} has {' or '.join(map(str, _DISTORTIONS[self.model]))}"
             )
-        if len(self.k) != 9 or not all(map(math.isfinite, (*self.k, *self.d))) or self.k[0] <= 0.0 or self.k[4] <= 0.0:
+        if not all(map(math.isfinite, self.d)):
+            raise SettingError(f"camera_info: d is {quoted(self.d)}, must be finite numbers")
+        if len(self.k) != 9 or not all(map(math.isfinite, self.k)) or self.k[0] <= 0.0 or self.k[4] <= 0.0:
             raise SettingError(f"camera_info: k is {quoted(self.k)}, must be 9 finite numbers with focal lengths above 0")
         if self.width < 8 or self.height < 8:
             raise SettingError(f"camera_info: the images have {self.width}x{self.height} pixels, must be 8x8 or more")
+        fx, _, cx, _, fy, cy = self.k[:6]
+        if max(fx / self.width, fy / self.height) > _MAX_FOCAL:
+            raise SettingError(
+                f"camera_info: the focal lengths are {fx:g} and {fy:g} pixels, must be at most {_MAX_FOCAL:g} times the {self.width}x{self.height} "
+                "pixels of the images"
+            )
+        if not (0.0 < cx < self.width - 1.0 and 0.0 < cy < self.height - 1.0):
+            raise SettingError(
+                f"camera_info: the principal point is ({cx:g}, {cy:g}), must be within the {self.width}x{self.height} pixels of the images"
+            )
+        if any(abs(value) > _MAX_COEFFICIENT for value in self.d):
+            raise SettingError(f"camera_info: d is {quoted(self.d)}, must be {_MAX_COEFFICIENT:g} at most")
 
     @property
     def is_fisheye(self) -> bool:
@@ -159,7 +182,7 @@ class ViewCamera:
         return x.astype(np.float32).reshape(height, width), y.astype(np.float32).reshape(height, width), shrink
 
 
-class ViewAssembler:
+class ViewAssembler(Generic[_Image]):
     """Combines the images of several cameras, of the same time, into views."""
 
     def __init__(self, kind: CameraKind, tolerance_ns: int = 20_000_000) -> None:
@@ -169,26 +192,44 @@ class ViewAssembler:
             kind: kind of the path's camera.
             tolerance_ns: largest difference between the stamps of the images of one view, ns.
         """
-        self._names, self._tolerance_ns = IMAGES_OF[kind], tolerance_ns
-        self._newest: dict[str, tuple[int, Image]] = {}
+        self._tolerance_ns = tolerance_ns
+        # One camera may be slower than the other by several images.
+        self._waiting: dict[str, deque[tuple[int, _Image]]] = {name: deque(maxlen=_MAX_WAITING) for name in IMAGES_OF[kind]}
+        """Images that are in no view yet, with their stamps, ns."""
 
-    def add(self, name: str, stamp_ns: int, image: Image) -> tuple[int, View] | None:
-        """Adds an image; returns the stamp of the first image, ns, and the view, if it is complete.
+    def clear(self) -> None:
+        """Drops the images that are in no view yet."""
+        for images in self._waiting.values():
+            images.clear()
+
+    def add(self, name: str, stamp_ns: int, image: _Image) -> tuple[int, tuple[_Image, ...]] | None:
+        """Adds an image; returns the stamp of the first image, ns, and the images of a view in the order of ``IMAGES_OF``, if it is complete.
 
         Args:
             name: one of ``IMAGES_OF``.
             stamp_ns: stamp of the image, ns.
-            image: (height, width, 3), uint8, of the path's camera.
+            image: an image, or the message with it.
         """
-        if len(self._names) == 1:
-            return stamp_ns, (image,)
-        self._newest[name] = (stamp_ns, image)
-        if any(n not in self._newest or abs(self._newest[n][0] - stamp_ns) > self._tolerance_ns for n in self._names):
+        self._waiting[name].append((stamp_ns, image))
+        nearest = [min(images, key=lambda each: abs(each[0] - stamp_ns), default=None) for images in self._waiting.values()]
+        view = [each for each in nearest if each is not None and abs(each[0] - stamp_ns) <= self._tolerance_ns]
+        if len(view) < len(nearest):
             return None
-        first = self._newest[self._names[0]][0]
-        view = tuple(self._newest[n][1] for n in self._names)
-        self._newest.clear()
-        return first, view
+        for images, (used_ns, _) in zip(self._waiting.values(), view, strict=True):
+            while images and images[0][0] <= used_ns:
+                images.popleft()
+        return view[0][0], tuple(image for _, image in view)
+
+    @property
+    def gap_ns(self) -> int | None:
+        """Smallest difference between the stamps of images of two cameras that are in no view, ns; None = one of them has none."""
+        gaps = [
+            abs(a - b)
+            for one, other in itertools.combinations(self._waiting.values(), 2)
+            for a, _ in one
+            for b, _ in other
+        ]
+        return min(gaps, default=None)
 
 
 _LOWER = (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gibson_path_following.errors import check_ranges
 from gibson_path_following.lens import ZoomEstimate
 from gibson_path_following.matching import Matcher, MatchingSettings
-from gibson_path_following.motions import Motion, segments
+from gibson_path_following.motions import Motion, has_motion, segments
 from gibson_path_following.preprocessing import PreprocessingSettings, Preprocessor
 from gibson_path_following.types import Place, RecordedPath, View
 
@@ -187,8 +187,8 @@ class Localiser:
         squared = self._distance**2 + (self.settings.metres_per_radian * self._turn) ** 2
         self._squared_length = np.maximum(squared, (0.25 * path.spacing) ** 2)
         """(cells,), squared length of each cell's segment, rotation included, square metres."""
-        self._has_motion = bool(self._distance.any() or self._turn.any())
-        """Whether the path has distances or turns; commands predict no place on one recorded from images alone."""
+        self._has_motion = has_motion(path)
+        """Whether commands predict places: not on a path recorded from images alone."""
         self._spacing = path.spacing
         self._belief: F64 = np.full(len(self.indices), 1.0 / len(self.indices))
         self._misfits = 0

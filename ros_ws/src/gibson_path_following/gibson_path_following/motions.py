@@ -58,6 +58,11 @@ def segments(path: RecordedPath) -> tuple[Motion, ...]:
     return tuple(found)
 
 
+def has_motion(path: RecordedPath) -> bool:
+    """Returns whether a path has distances or turns: from odometry or commands, not from images alone."""
+    return any(part.distance != 0.0 or part.turn != 0.0 for part in segments(path))
+
+
 class CommandLog:
     """Recent commands to a robot."""
 
