@@ -28,7 +28,7 @@ def test_a_network_that_is_not_there_is_named(name: str) -> None:
 @pytest.mark.parametrize("backend", ["teach_repeat", "learned", "onnx:none.onnx"])
 def test_a_path_of_images_alone_is_refused(backend: str) -> None:
     nodes = tuple(PathNode(node.view, node.stamp_ns, 0.0, ((0, STOP),)) for node in straight_path().nodes)
-    with pytest.raises(SettingError, match="12 nodes, but neither distances nor velocities.*localise on it with path_localiser"):
+    with pytest.raises(SettingError, match=r"12 nodes, but neither distances nor velocities.*localise on it with path_localiser"):
         make_policy(backend, RecordedPath("pinhole", straight_path().hfov, nodes))
 
 
