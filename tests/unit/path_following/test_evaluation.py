@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions
+from gibson_path_following.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions, verdict
 from support.path_views import straight_path
 
 NODES = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)]
@@ -44,6 +44,20 @@ def test_contacts_close_in_time_are_one_collision() -> None:
     assert found.collisions_per_metre == pytest.approx(2 / 3.0)
     assert found.arrived and not found.success and found.spl == 0.0
     assert evaluate(NODES, trace, EvaluationSettings(collision_gap=2.0)).collisions == 1
+
+
+@pytest.mark.parametrize(
+    ("end", "hits", "line"),
+    [
+        (2.75, set(), "success: 0.25 m from the end of the path, no collision"),
+        (2.75, {1}, "failure: 0.25 m from the end of the path, 1 collision (allowed: none)"),
+        (2.0, set(), "failure: 1.00 m from the end of the path (allowed: 0.5 m), no collision"),
+        (2.0, {1, 5}, "failure: 1.00 m from the end of the path (allowed: 0.5 m), 2 collisions (allowed: none)"),
+    ],
+)
+def test_a_verdict_says_why(end: float, hits: set[int], line: str) -> None:
+    trace = [TracePoint(i * S, i * end / 8, 0.0, 0.0, i in hits) for i in range(9)]
+    assert verdict(evaluate(NODES, trace), 0.5) == line
 
 
 def test_a_robot_that_stands_is_judged_too() -> None:

@@ -125,6 +125,21 @@ def evaluate(
     )
 
 
+def verdict(outcome: Outcome, arrival_radius: float) -> str:
+    """Returns whether a drive succeeded, and why not: what was not allowed, with its limit.
+
+    Args:
+        outcome: of the drive.
+        arrival_radius: that of its ``EvaluationSettings``, metres.
+    """
+    end = f"{outcome.end_distance:.2f} m from the end of the path" + (
+        "" if outcome.arrived else f" (allowed: {arrival_radius:g} m)"
+    )
+    count = outcome.collisions
+    collisions = f"{count} collision{'' if count == 1 else 's'} (allowed: none)" if count else "no collision"
+    return f"{'success' if outcome.success else 'failure'}: {end}, {collisions}"
+
+
 def node_positions(path: RecordedPath) -> tuple[tuple[float, float], ...]:
     """Returns the recorded x and y of the nodes, metres.
 

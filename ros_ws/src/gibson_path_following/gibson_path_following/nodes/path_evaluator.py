@@ -16,7 +16,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from gibson_path_following.errors import PathFollowingError, SettingError, quoted
-from gibson_path_following.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions
+from gibson_path_following.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions, verdict
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
@@ -136,9 +136,8 @@ class PathEvaluatorNode(Node):
             raise SettingError(f"cannot write {file}: {error.strerror}") from error
         self._is_written = True
         return (
-            f"{'success' if outcome.success else 'failure'}: coverage {outcome.coverage:.2f}, {outcome.collisions} collisions, "
-            f"{outcome.deviation_mean:.2f} m beside the path on average, {outcome.end_distance:.2f} m from its end, SPL {outcome.spl:.2f}; "
-            f"wrote {file}"
+            f"{verdict(outcome, self._options.arrival_radius)}. Coverage {outcome.coverage:.2f}, mean deviation {outcome.deviation_mean:.2f} m, "
+            f"SPL {outcome.spl:.2f}; wrote {file}"
         )
 
     def stop(self) -> None:
