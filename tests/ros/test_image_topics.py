@@ -27,7 +27,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2  # n
 
 from gibson_msgs.msg import Scene, SceneState  # noqa: E402
 from gibson_sim.description.shapes import Shape, VisualSpec  # noqa: E402
-from gibson_sim.errors import ConfigError, GraphicsUnavailableError  # noqa: E402
+from gibson_sim.errors import ConfigError, GibsonSimError, GraphicsUnavailableError  # noqa: E402
 from gibson_sim.render.context import open_context  # noqa: E402
 from gibson_sim.resources import find_robot  # noqa: E402
 from gibson_sim.robots.load import load_robot  # noqa: E402
@@ -36,7 +36,7 @@ from gibson_sim.ros.nodes import node_main  # noqa: E402
 from gibson_sim.ros.nodes.render_node import RenderNode  # noqa: E402
 from gibson_sim.ros.nodes.snapshot_node import SnapshotNode  # noqa: E402
 from gibson_sim.ros.topics import qos  # noqa: E402
-from gibson_sim.scenes.spec import DrawnScene, LightSpec  # noqa: E402
+from gibson_sim.scenes.spec import DrawnScene, LightSpec, SplatsSpec  # noqa: E402
 from gibson_sim.sensors.image_codecs import encode_color  # noqa: E402
 from gibson_sim.types import OUTPUTS, CameraSpec, Pose, SceneState as State, Vec3  # noqa: E402
 from render.drawing import AHEAD  # noqa: E402
@@ -325,6 +325,17 @@ def test_a_camera_whose_holes_cannot_be_filled_ends_the_node_with_one_line(rig: 
     rig.load(_scene(replace(EYE, fill=str(network))), ready=False)
     rig.spin_until(lambda: render._failure is not None, "the failure")
     with pytest.raises(ConfigError, match=r"network\.onnx is not an ONNX file, or is truncated"):
+        render.spin()
+
+
+def test_a_first_scene_that_cannot_be_drawn_ends_the_node_with_one_line(rig: Rig, tmp_path: Path) -> None:
+    splats = tmp_path / "splats.ply"
+    splats.write_bytes(b"ply\n")
+    broken = replace(_scene(EYE), splats=SplatsSpec(str(splats)))
+    render = rig.render()
+    rig.load(broken, ready=False)
+    rig.spin_until(lambda: render._failure is not None, "the failure")
+    with pytest.raises(GibsonSimError, match=r"splats\.ply"):
         render.spin()
 
 

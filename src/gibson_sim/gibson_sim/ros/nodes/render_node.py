@@ -96,7 +96,7 @@ class RenderNode(Node):
         self._frame_history: FrameHistory | None = None
         self._stats = RenderStats()
         self._lockstep: LockstepParticipant | None = None
-        self._failure: ConfigError | None = None
+        self._failure: GibsonSimError | None = None
         self._latest: SceneState | None = None
         """The newest state that can be rendered."""
         self._latest_since = 0.0
@@ -117,7 +117,10 @@ class RenderNode(Node):
             scene, warnings = with_local_files(conversions.scene_from_msg(msg), self._config.asset_folders())
             self._load(scene, warnings)
         except GibsonSimError as error:
-            self.get_logger().error(f"scene {quoted(msg.name)} is not drawn: {error}")
+            if self._state_subscription is None:
+                self._failure = error  # the node ends: time would wait for it
+            else:
+                self.get_logger().error(f"scene {quoted(msg.name)} is not drawn: {error}")
             return
         for camera in self._cameras.values():
             camera.publish_labels(scene, conversions.time_from_msg(msg.header.stamp))
