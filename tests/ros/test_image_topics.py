@@ -577,5 +577,5 @@ def test_a_file_of_another_machine_that_is_not_here_is_named(rig: Rig) -> None:
     lost = VisualSpec("lost", "", Shape("mesh", mesh="/opt/other/scenes/gone/a.obj"))
     rig.load(_scene(EYE, visuals=(WALL, lost)), ready=False)
     rig.spin_until(lambda: render._failure is not None, "the failure")
-    with pytest.raises(GibsonSimError, match="/opt/other/scenes/gone/a.obj is a file on the physics node's machine"):
+    with pytest.raises(GibsonSimError, match=r"/opt/other/scenes/gone/a\.obj is a file on the physics node's machine"):
         render.spin()
