@@ -174,18 +174,18 @@ def _found(follower: PathFollower, views: int = 2) -> int:
 
 def test_a_path_is_followed_to_its_end_and_the_robot_stays_there() -> None:
     follower, policy = _follower()
-    assert follower.state == "stale" and follower.tick(0) == STOP
+    assert follower.state == "waiting" and follower.tick(0) == STOP and follower.state == "waiting"
     states = []
     for i in range(14):
         place = min(i, 11)
         follower.observe(i * STEP_NS, pinhole_view(place))
         states.append(follower.state)
-    assert states[0] == "lost" and set(states[1:11]) == {"following"} and states[-1] == "finished"
+    assert states[0] == "localising" and set(states[1:11]) == {"following"} and states[-1] == "finished"
     assert follower.tick(100 * STEP_NS) == STOP and follower.state == "finished"
     assert follower.observe(101 * STEP_NS, pinhole_view(3)) == STOP
     assert policy.places[5].index == pytest.approx(6.0, abs=0.4)  # of the seventh view: it was lost at the first
     follower.reset()
-    assert follower.state == "stale" and policy.resets == 2
+    assert follower.state == "waiting" and policy.resets == 2
 
 
 def test_it_stops_when_images_are_too_old_and_goes_on_with_new_ones() -> None:
@@ -225,6 +225,15 @@ def test_it_stops_while_it_is_lost() -> None:
     for i in range(8):
         velocity = follower.observe(last + (i + 1) * STEP_NS, pinhole_view(2000 + i))
     assert velocity == STOP and follower.state == "lost"
+
+
+def test_a_robot_that_stands_elsewhere_at_the_start_is_lost_after_a_while() -> None:
+    follower, _ = _follower(search_after=1.0, search=False)
+    states = []
+    for i in range(8):
+        follower.observe(i * 200_000_000, pinhole_view(2000 + i))
+        states.append(follower.state)
+    assert states == 5 * ["localising"] + 3 * ["lost"]
 
 
 def test_a_robot_that_is_lost_looks_to_both_sides_once_and_then_stands() -> None:

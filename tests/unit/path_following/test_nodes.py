@@ -106,6 +106,24 @@ def test_it_drives_once_it_has_found_its_place_and_stops_without_images(context:
     driven.node.destroy_node()
 
 
+def test_states_from_the_start_on_come_in_their_order_and_none_alarms(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder)
+    states = [driven.node._state]
+    for act in (driven.node._on_timer, lambda: driven.see(0, TICK), driven.node._on_timer, lambda: driven.see(0, 2 * TICK)):
+        act()
+        states.append(driven.node._state)
+    assert states == ["waiting", "waiting", "localising", "localising", "following"]
+    driven.node.destroy_node()
+
+
+def test_a_path_that_cannot_be_read_is_an_error_and_no_state(
+    context: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(PathFolderError, match="cannot read"):
+        Driven(context, tmp_path / "none")
+    assert "inactive" not in capfd.readouterr().err
+
+
 def test_it_stands_while_the_policy_fails_and_goes_on_afterwards(context: Any, folder: Path) -> None:
     driven = Driven(context, folder)
     now = driven.begin()

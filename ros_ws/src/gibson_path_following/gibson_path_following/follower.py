@@ -19,9 +19,10 @@ from gibson_path_following.motions import NS_PER_S, CommandLog, Motion
 from gibson_path_following.preprocessing import texture
 from gibson_path_following.types import STOP, Place, Policy, RecordedPath, SelfLocalisingPolicy, Step, Velocity, View
 
-State = Literal["following", "lost", "searching", "stale", "finished"]
-"""following; lost: the images fit nowhere on the path, or the lens is covered; searching: lost, and rotating in place; stale: no new images, or
-their stamps are far from the present; finished: at the end of the path."""
+State = Literal["waiting", "localising", "following", "lost", "searching", "stale", "finished"]
+"""waiting: no image has come since the start; localising: the first images are compared with the path; following; lost: the images fit nowhere on
+the path, or the lens is covered; searching: lost, and rotating in place; stale: no new images, or their stamps are far from the present; finished:
+at the end of the path."""
 _SEARCH_TURN = math.radians(60.0)
 """Rotation of a search to either side, radians."""
 _SEARCH_RATE = 0.4
@@ -55,7 +56,7 @@ class FollowerSettings:
     search: bool = True
     """Whether a lost robot rotates in place to either side, once and slowly, to find the path again. It never drives on."""
     search_after: float = 1.5
-    """Time that a lost robot stands before it searches, seconds."""
+    """Time that a lost robot stands before it searches, and that the first place may take before the robot counts as lost, seconds."""
     max_linear: float = 0.5
     """Largest speed, m/s; velocities of the policy are clamped to it."""
     max_angular: float = 1.0
@@ -115,8 +116,12 @@ class PathFollower:
         """Descriptor of the previous view."""
         self._at_end = 0
         """Successive views at the end of the path."""
+        self._first_ns: int | None = None
+        """Stamp of the first view that was localised, ns."""
+        self._was_found = False
+        """Whether the place was known at any time since the start."""
         self._search = _Search(self.settings.search_after)
-        self.state: State = "stale"
+        self.state: State = "waiting"
         """State; all but ``following`` and ``searching`` command a stop."""
         self.place: Place | None = None
         """Place of the newest view; None before the first."""
@@ -125,8 +130,9 @@ class PathFollower:
     def reset(self) -> None:
         """Begins again at the start of the path."""
         self._log.clear()
-        self._stamp_ns, self._localised_ns, self.place, self.state = None, None, None, "stale"
+        self._stamp_ns, self._localised_ns, self.place, self.state = None, None, None, "waiting"
         self._at_end, self._descriptor = 0, None
+        self._first_ns, self._was_found = None, False
         self._model.reset()
         self._search.reset()
         self.localiser.reset(self.settings.start, self.settings.start_deviation)
@@ -153,12 +159,13 @@ class PathFollower:
             return self._send(stamp_ns, STOP)
         self.place = self._localise(stamp_ns, view)
         if self.place.is_lost and not (isinstance(self._policy, SelfLocalisingPolicy) and self._policy.is_localised):
-            self.state = "lost"
+            self.state = "lost" if self._was_found or self._is_late(stamp_ns) else "localising"
             turn = self._search.velocity(stamp_ns, self.place.moved.turn) if self.settings.search else STOP
             if turn != STOP:
                 self.state = "searching"
             return self._send(stamp_ns, self._clamped(turn))
         self._search.reset()
+        self._was_found = True
         at_end = self.place.confidence > 0.0 and self.place.index >= self._last - self.settings.end_tolerance
         self._at_end = self._at_end + 1 if at_end else 0
         if self._at_end >= self.settings.end_views:
@@ -194,9 +201,15 @@ class PathFollower:
             now_ns: present time on the clock of the stamps, ns.
         """
         if self.state != "finished" and self._is_stale(now_ns):
-            self.state = "stale"
+            self.state = "waiting" if self._stamp_ns is None else "stale"
             return self._send(now_ns, STOP)
         return self._log.last
+
+    def _is_late(self, stamp_ns: int) -> bool:
+        """Returns whether the place should be known by the time of a view, ns: some time after the first one."""
+        if self._first_ns is None:
+            self._first_ns = stamp_ns
+        return stamp_ns - self._first_ns >= self.settings.search_after * NS_PER_S
 
     def _is_stale(self, now_ns: int) -> bool:
         """Returns whether there is no view, the newest one arrived too long ago, or its stamp is too old or too far in the future."""

@@ -42,8 +42,10 @@ class PathPolicyNode(LifecycleNode):
 
     Publishes:
         cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): with each view, and ``watchdog_hz`` times a second of ROS time.
-        path/state (std_msgs/String, latched): following, lost, searching (lost, and rotating in place), stale, finished, held (the
-            dead man's switch), failed (the policy could not use the newest view; the log says why) or inactive.
+        path/state (std_msgs/String, latched): waiting (for the first image), localising (by the first images), following, lost,
+            searching (lost, and rotating in place), stale (the newest image is too old), finished, held (the dead man's switch),
+            failed (the policy could not use the newest view; the log says why) or inactive. The robot moves in following and
+            searching alone.
         path/index, path/confidence (std_msgs/Float32), path/lost (std_msgs/Bool): with each view; /diagnostics once a second.
     """
 
@@ -71,8 +73,9 @@ class PathPolicyNode(LifecycleNode):
         self._state_pub = self.create_publisher(String, "path/state", latched)
         self._cmd_pub = self.create_publisher(TwistStamped if self._options.stamped else Twist, "cmd_vel", 1)
         self._timer: Any = None
-        self._report("inactive")
-        if self._options.autostart:
+        if not self._options.autostart:
+            self._report("inactive")
+        else:
             self._load()
             self.trigger_configure()
             self.trigger_activate()
@@ -117,7 +120,8 @@ class PathPolicyNode(LifecycleNode):
         if o.deadman_button >= 0:
             self._joy = self.create_subscription(Joy, "joy", self._on_joy, 10)
         self._timer = self.create_timer(1.0 / o.watchdog_hz, self._on_timer)  # in the robot's time: of use_sim_time too
-        self.get_logger().info(f"following {o.path}: {len(path.nodes)} nodes, {path.length:.2f} m, with {o.backend}")
+        self.get_logger().info(f"path {o.path}: {len(path.nodes)} nodes, {path.length:.2f} m; backend {o.backend}")
+        self._report(follower.state)
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -227,7 +231,7 @@ class PathPolicyNode(LifecycleNode):
         if state != self._state:
             self._state = state
             self._state_pub.publish(String(data=state))
-            self.get_logger().info(state)
+            self.get_logger().info(f"state: {state}")
 
     def stop(self) -> None:
         """Stops the robot."""
