@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,23 +19,27 @@ require("rclpy", "sensor_msgs", "lifecycle_msgs")
 
 import rclpy  # noqa: E402
 from geometry_msgs.msg import Twist  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, Joy  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from gibson_path_following.errors import ModelError, PathFolderError, SettingError, ViewError  # noqa: E402
-from gibson_path_following.nodes import conversions  # noqa: E402
+from gibson_path_following.nodes import camera_input, conversions  # noqa: E402
 from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
+from gibson_path_following.nodes.image_watch import ImageWatch  # noqa: E402
 from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
 from gibson_path_following.nodes.path_localiser import PathLocaliserNode  # noqa: E402
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
 from gibson_path_following.nodes.path_recorder import PathRecorderNode  # noqa: E402
 from gibson_path_following.nodes.running import run_node  # noqa: E402
-from gibson_path_following.options import Options  # noqa: E402
+from gibson_path_following.options import CameraOptions, Options  # noqa: E402
 from gibson_path_following.path_folder import load_path, save_path  # noqa: E402
-from gibson_path_following.types import PathNode, RecordedPath, Velocity, View  # noqa: E402
+from gibson_path_following.types import PathNode, RecordedPath, Velocity  # noqa: E402
 
 pytestmark = pytest.mark.ros
 NS = 1_000_000_000
@@ -64,13 +69,16 @@ class Driven:
         self.sent: list[float] = []
         self.now_ns = 0
         self.node._cmd_pub.publish = lambda msg: self.sent.append(msg.linear.x)
-        self.node._now_ns = lambda: self.now_ns
+        self.node.get_clock = lambda: SimpleNamespace(now=lambda: Time(nanoseconds=self.now_ns))
+        self.lines: list[str] = []
+        for level in ("warning", "error"):
+            setattr(self.node.get_logger(), level, lambda text, **_: self.lines.append(text))
 
-    def see(self, node: int, stamp_ns: int) -> None:
-        self.now_ns = stamp_ns
+    def see(self, node: int, stamp_ns: int, now_ns: int | None = None) -> None:
+        self.now_ns = stamp_ns if now_ns is None else now_ns
         msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
         msg.header.stamp = conversions.time_msg(stamp_ns)
-        self.node._input._on_image("front", "camera/image_raw", False, msg)
+        self.node._input._on_image("front", "camera/image_raw", msg)
 
     def begin(self) -> int:
         """Sees the first node until it drives; returns the time."""
@@ -106,6 +114,69 @@ def test_it_drives_once_it_has_found_its_place_and_stops_without_images(context:
     driven.node.destroy_node()
 
 
+@pytest.fixture
+def wall(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Wall time of the camera input, ns, as attribute ``ns``."""
+    wall = SimpleNamespace(ns=NS)
+    monkeypatch.setattr(camera_input.time, "monotonic_ns", lambda: wall.ns)
+    return wall
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "line"),
+    [
+        (
+            -30,
+            "30.0 s behind this node's clock, at most 0.5 s are allowed; set use_sim_time as the node of the camera has it, or sync",
+        ),
+        (3600, "3600.0 s ahead of this node's clock, at most 0.5 s are allowed; set use_sim_time as"),
+        (
+            -1,
+            "1.0 s behind this node's clock, at most 0.5 s are allowed; camera, network or this machine is too slow, or the camera's",
+        ),
+    ],
+)
+def test_images_of_another_clock_never_drive_and_a_line_says_so(
+    context: Any, folder: Path, wall: Any, ahead_s: int, line: str
+) -> None:
+    driven = Driven(context, folder)
+    for k in range(1, 20):
+        wall.ns += TICK
+        driven.see(0, 4000 * NS + k * TICK + ahead_s * NS, 4000 * NS + k * TICK)
+        driven.node._on_timer()
+    assert set(driven.sent) == {0.0} and driven.node._state == "waiting"
+    assert driven.lines and all(f"image stamps are {line}" in each for each in driven.lines)
+    driven.node.destroy_node()
+
+
+def test_one_image_from_the_future_or_the_past_changes_nothing(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder)
+    driven.begin()
+    for k in range(4, 24):
+        driven.see(int(0.4 * (k - 3)), k * TICK)
+    for stamp in (23 * TICK + 20 * NS, 0):
+        driven.see(0, stamp, 23 * TICK)
+    driven.see(8, 24 * TICK)
+    assert driven.node._follower.place.index > 5.0 and driven.sent[-1] > 0.2 and driven.lines == []
+    driven.node.destroy_node()
+
+
+def test_a_policy_that_is_too_slow_for_its_images_does_not_drive(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder)
+    now = driven.begin()
+    act = driven.node._follower._policy.act
+
+    def slow(*args: Any) -> Velocity:
+        driven.now_ns += NS
+        return act(*args)
+
+    driven.node._follower._policy.act = slow
+    driven.see(0, now + TICK)
+    assert driven.sent[-1] == 0.0 and driven.node._state == "stale"
+    assert driven.lines == [
+        "teach_repeat needed 1.0 s for a view, after which it was 1.0 s old: this machine is too slow for stale_after 0.5 s"
+    ]
+    driven.node.destroy_node()
 def test_states_from_the_start_on_come_in_their_order_and_none_alarms(context: Any, folder: Path) -> None:
     driven = Driven(context, folder)
     states = [driven.node._state]
@@ -129,7 +200,7 @@ def test_it_stands_while_the_policy_fails_and_goes_on_afterwards(context: Any, f
     now = driven.begin()
     observe = driven.node._follower.observe
 
-    def fails(stamp_ns: int, view: View) -> Velocity:
+    def fails(*args: Any) -> Velocity:
         raise ModelError("net.onnx: its output holds a NaN or an infinity; export it anew")
 
     driven.node._follower.observe = fails
@@ -173,6 +244,21 @@ def test_it_stands_until_a_manager_activates_it(context: Any, folder: Path) -> N
     driven.node.destroy_node()
 
 
+def test_a_transition_that_is_not_possible_is_refused_and_the_robot_drives_on(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder)
+    now = driven.begin()
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
+    response = driven.node._service_change_state.callback(request, ChangeState.Response())
+    assert not response.success
+    assert driven.lines == ["transition 'configure' is not possible while path_policy is active; possible: deactivate, shutdown"]
+    driven.see(0, now + TICK)
+    assert driven.sent[-1] > 0.2
+    request.transition.id = Transition.TRANSITION_DEACTIVATE
+    assert driven.node._service_change_state.callback(request, ChangeState.Response()).success
+    assert driven.sent[-1] == 0.0
+    driven.node.destroy_node()
+
+
 def test_a_path_that_cannot_be_read_fails_the_transition(context: Any, tmp_path: Path) -> None:
     node = PathPolicyNode(
         context=context,
@@ -212,7 +298,7 @@ class Recording:
     def see(self, node: int, stamp_ns: int) -> None:
         msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
         msg.header.stamp = conversions.time_msg(stamp_ns)
-        self._on_image("front", "camera/image_raw", False, msg)
+        self._on_image("front", "camera/image_raw", msg)
 
 
 def test_a_path_is_written_when_stamps_go_back_and_the_next_one_does_not_replace_it(context: Any, tmp_path: Path) -> None:
@@ -256,23 +342,116 @@ def test_a_robot_that_is_pushed_is_localised_by_its_images_alone(context: Any, f
     for k in range(10):
         msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(k).tobytes())
         msg.header.stamp = conversions.time_msg((k + 1) * TICK + node.get_clock().now().nanoseconds)
-        node._input._on_image("front", "camera/image_raw", False, msg)
+        node._input._on_image("front", "camera/image_raw", msg)
     assert [place.is_lost for place in places] == [True] + 9 * [False]
     assert [place.index for place in places[1:]] == pytest.approx(range(1, 10), abs=0.5)
     node.destroy_node()
 
 
-def test_images_wait_for_their_camera_info(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder, use_camera_info=True)
-    driven.see(0, TICK)
-    assert driven.node._follower.place is None
+def _info() -> CameraInfo:
     info = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="plumb_bob", d=[0.0] * 5)
     focal = WIDTH / 2 / np.tan(0.7)
     info.k = [focal, 0.0, (WIDTH - 1) / 2, 0.0, focal, (HEIGHT - 1) / 2, 0.0, 0.0, 1.0]
-    driven.node._input._on_info("front", info)
+    return info
+
+
+def test_images_wait_for_their_camera_info(context: Any, folder: Path, wall: Any) -> None:
+    driven = Driven(context, folder, use_camera_info=True)
+    driven.see(0, TICK)
+    assert driven.node._follower.place is None and driven.lines == []
+    wall.ns += 2 * NS
+    driven.see(0, TICK)  # stamps that stand still do not silence the line
+    assert driven.lines == ["no camera_info beside camera/image_raw yet; publish it, or set use_camera_info to false"]
+    driven.node._input._on_info("front", _info())
     driven.see(0, 2 * TICK)
     assert driven.node._follower.place is not None
     driven.node.destroy_node()
+
+
+def test_a_camera_info_without_calibration_or_with_an_impossible_one_stops_the_robot(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder, use_camera_info=True)
+    driven.node._input._on_info("front", _info())
+    now = driven.begin()
+    assert driven.sent[-1] > 0.2
+    for k, (value, line) in enumerate(
+        [
+            (
+                0.0,
+                "the field of view is not known: the camera is not calibrated; set camera_hfov_deg, or publish a calibrated camera_info; or",
+            ),
+            (float("nan"), "camera_info: k is (nan, nan, "),
+        ]
+    ):
+        info = _info()
+        info.k = [value] * 9
+        driven.node._input._on_info("front", info)
+        driven.see(0, now + (1 + 4 * k) * TICK)
+        driven.now_ns += 3 * TICK
+        driven.node._on_timer()
+        assert driven.sent[-1] == 0.0 and driven.lines.pop().startswith(f"camera/image_raw: {line}")
+        driven.node._input._on_info("front", _info())
+        driven.see(0, driven.now_ns)
+        assert driven.sent[-1] > 0.2
+    driven.node.destroy_node()
+
+
+class Pairs:
+    """The input of a fisheye pair that is calibrated, and the stamps of its views."""
+
+    def __init__(self, context: Any, **options: Any) -> None:
+        self.node, self.stamps, self.lines = Node("pairs", context=context), list[int](), list[str]()
+        self.node.get_logger().warning = lambda text, **_: self.lines.append(text)
+        values = {"image_topics": ("front/image_raw", "back/image_raw"), "use_camera_info": False, **options}
+        self.input = camera_input.CameraInput(
+            self.node, CameraOptions(**values), "fisheye_pair", (32, 32), 3.0, lambda stamp, _: self.stamps.append(stamp), list
+        )
+
+    def see(self, name: str, stamp_ns: int) -> None:
+        msg = Image(height=32, width=32, encoding="mono8", step=32, data=bytes(32 * 32))
+        msg.header.stamp = conversions.time_msg(stamp_ns)
+        self.input._on_image(name, f"{name}/image_raw", msg)
+
+
+def test_one_lost_image_of_a_pair_does_not_end_the_views(context: Any) -> None:
+    pairs, step = Pairs(context, rate_hz=5.0), NS // 20
+    for k in range(40):
+        pairs.see("front", k * step)
+        if k != 8:
+            pairs.see("back", k * step)
+    # At most 5 a second of 20; the view of 8 is not complete.
+    assert [stamp // step for stamp in pairs.stamps] == [0, 4, 9, 13, 17, 21, 25, 29, 33, 37]
+    pairs.node.destroy_node()
+
+
+def test_a_pair_that_is_never_taken_at_the_same_time_is_one_line(context: Any, wall: Any) -> None:
+    pairs = Pairs(context)
+    for _ in range(30):
+        wall.ns += NS // 10
+        pairs.see("front", wall.ns)
+        pairs.see("back", wall.ns + NS // 20)
+    assert pairs.stamps == []
+    line = "the images of front and back are 50 ms apart by their stamps, sync_tolerance allows 20 ms; trigger the cameras at the same"
+    assert pairs.lines and pairs.lines[0].startswith(line)
+    pairs.node.destroy_node()
+
+
+def test_topics_without_images_and_stamps_that_stand_still_are_one_line(context: Any) -> None:
+    node, lines = Node("watch", context=context, namespace="robot"), list[str]()
+    node.get_logger().warning = lambda text, **_: lines.append(text)
+    watch = ImageWatch(node, ("front/image_raw", "back/image_raw"), "parameter image_topics")
+    watch.warn()
+    assert len(lines) == 2
+    assert lines[1] == "no image has come from /robot/back/image_raw; does the camera run, and is parameter image_topics right?"
+    for _ in range(9):
+        watch.note("front/image_raw", 0)
+    lines.clear()
+    watch.warn()
+    assert len(lines) == 1 and "back" in lines[0]
+    watch.note("front/image_raw", 0)
+    assert lines[1] == "the last 10 images from front/image_raw all have the stamp 0.000 s; correct the camera's driver"
+    watch.close()
+    watch.close()
+    node.destroy_node()
 
 
 @pytest.mark.parametrize(
@@ -452,7 +631,7 @@ def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_is_used(
     lines: list[str] = []
     monkeypatch.setattr(driven.node.get_logger(), "error", lambda text, **_: lines.append(text))
     for msg in (Image(encoding="rgb8"), Image(height=2, width=2, encoding="jpeg2000", step=2, data=bytes(4))):
-        driven.node._input._on_image("front", "camera/image_raw", False, msg)
+        driven.node._input._on_image("front", "camera/image_raw", msg)
     assert [line.partition(",")[0] for line in lines] == [
         "camera/image_raw: an image of 0x0 rgb8 pixels has 0 bytes in rows of 0",
         "camera/image_raw: an image has the encoding 'jpeg2000'",

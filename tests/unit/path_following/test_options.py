@@ -16,6 +16,7 @@ from gibson_path_following.options import (
     Options,
     PolicyOptions,
     RecorderOptions,
+    check_start,
     describe,
     unknown_name,
 )  # fmt: skip
@@ -35,8 +36,29 @@ def test_every_parameter_has_a_description_and_every_number_limits(kind: type[Op
     [
         (PolicyOptions, {}, "parameter path is empty"),
         (PolicyOptions, {"path": "p", "max_linear": 20.0}, "max_linear is 20, must be 0.01 to 10"),
-        (PolicyOptions, {"path": "p", "max_linear": "fast"}, "max_linear is 'fast', must be of type float"),
+        (PolicyOptions, {"path": "p", "max_linear": "fast"}, "max_linear is 'fast', must be a number"),
+        (PolicyOptions, {"path": "p", "search": 1}, "search is 1, must be true or false"),
+        (PolicyOptions, {"path": 5}, "path is 5, must be text"),
         (PolicyOptions, {"path": "p", "image_topics": "camera"}, "must be a list of names"),
+        (
+            PolicyOptions,
+            {"path": "p", "image_topics": None},
+            r"image_topics is empty, must be a list of names, such as \[camera/image_raw\]",
+        ),
+        (
+            PolicyOptions,
+            {"path": "p", "image_topics": ["bad name"]},
+            "image_topics is 'bad name', which cannot name a topic; must be letters",
+        ),
+        (EvaluatorOptions, {"path": "p", "collision_topic": "a//b"}, "collision_topic is 'a//b', which cannot name a topic"),
+        (GogglesOptions, {"image_topic": "1/image"}, "image_topic is '1/image', which cannot name a topic"),
+        (RecorderOptions, {"camera_hfov_deg": 180.0}, "camera_hfov_deg is 180, must be 0, or 1 to 179 for a pinhole camera"),
+        (RecorderOptions, {"hfov_deg": 200.0}, "hfov_deg is 200, must be 0, or 1 to 179 for a pinhole camera"),
+        (
+            RecorderOptions,
+            {"camera": "fisheye_pair", "image_topics": ["a", "a"]},
+            r"image_topics is \['a', 'a'\], must be different topics: front, back",
+        ),
         (RecorderOptions, {"camera": "radar"}, "camera is 'radar', must be one of pinhole, fisheye_pair"),
         (RecorderOptions, {"camera": "fisheye_pair"}, "image_topics has 1 names, a fisheye_pair camera needs 2: front, back"),
         (RecorderOptions, {"width": 4}, "width is 4, must be 16 to 4096"),
@@ -46,6 +68,17 @@ def test_every_parameter_has_a_description_and_every_number_limits(kind: type[Op
 def test_values_that_are_not_allowed_are_one_line(kind: type[Options], values: dict[str, Any], part: str) -> None:
     with pytest.raises(SettingError, match=part):
         kind(**values)
+
+
+def test_names_of_topics_and_a_fisheyes_field_of_view_are_accepted() -> None:
+    RecorderOptions(camera="fisheye_pair", image_topics=["/a_1/b", "~/c"], hfov_deg=200.0, camera_hfov_deg=190.0)
+    EvaluatorOptions(path="p", collision_topic="")
+
+
+@pytest.mark.parametrize("start", [-0.5, 12.0])
+def test_a_start_that_is_no_node_is_refused(start: float) -> None:
+    with pytest.raises(SettingError, match=r"must be -1 = anywhere, or a node of the path, 0 to 11"):
+        check_start(start, 12)
 
 
 @pytest.mark.parametrize("kind", KINDS)

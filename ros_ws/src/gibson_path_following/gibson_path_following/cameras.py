@@ -223,12 +223,7 @@ class ViewAssembler(Generic[_Image]):
     @property
     def gap_ns(self) -> int | None:
         """Smallest difference between the stamps of images of two cameras that are in no view, ns; None = one of them has none."""
-        gaps = [
-            abs(a - b)
-            for one, other in itertools.combinations(self._waiting.values(), 2)
-            for a, _ in one
-            for b, _ in other
-        ]
+        gaps = [abs(a - b) for one, other in itertools.combinations(self._waiting.values(), 2) for a, _ in one for b, _ in other]
         return min(gaps, default=None)
 
 

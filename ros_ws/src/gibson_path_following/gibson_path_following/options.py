@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import Field, dataclass, field, fields
@@ -13,10 +14,15 @@ from gibson_path_following.errors import SettingError, quoted
 from gibson_path_following.goggles import MODES
 from gibson_path_following.types import IMAGES_OF
 
+PINHOLE_HFOV_DEG = (1.0, 179.0)
+"""Least and largest horizontal field of view of a pinhole camera, degrees."""
+_TOPIC = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+"""Names of topics (https://design.ros2.org/articles/topic_and_service_names.html)."""
 
-def option(default: Any, text: str, least: float | None = None, most: float | None = None) -> Any:
-    """Returns a field with a description and, for a number, its limits."""
-    metadata = {"text": text, "least": least, "most": most}
+
+def option(default: Any, text: str, least: float | None = None, most: float | None = None, *, is_topic: bool = False) -> Any:
+    """Returns a field with a description and, for a number, its limits; ``is_topic``: its value is a name of a topic, or are several."""
+    metadata = {"text": text, "least": least, "most": most, "is_topic": is_topic}
     return field(default=default, metadata=metadata)
 
 
@@ -28,6 +34,9 @@ class Options:
         for one in fields(self):
             value = getattr(self, one.name)
             _check(one.name, value, one.default, one.metadata["least"], one.metadata["most"])
+            if one.metadata["is_topic"]:
+                for topic in [value] if isinstance(value, str) else value:
+                    _check_topic(one.name, topic)
 
 
 def describe(kind: type[Options]) -> str:
@@ -50,6 +59,7 @@ class CameraOptions(Options):
         ("camera/image_raw",),
         "topics of the images: one for a pinhole camera; front, back for a fisheye pair. Names that end in /compressed carry "
         "sensor_msgs/CompressedImage, others sensor_msgs/Image",
+        is_topic=True,
     )
     use_camera_info: bool = option(True, "wait for camera_info beside each image topic, and map the images by its calibration")
     camera_hfov_deg: float = option(
@@ -86,7 +96,10 @@ class RecorderOptions(CameraOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_camera(self.camera, self.image_topics)
+        if self.camera not in IMAGES_OF:
+            raise SettingError(f"parameter camera is {quoted(self.camera)}, must be one of {', '.join(IMAGES_OF)}")
+        check_camera(self.camera, self)
+        _check_hfov("hfov_deg", self.hfov_deg, self.camera)
         if not self.folder:
             raise SettingError("parameter folder is empty, must be the folder of the path")
 
@@ -142,7 +155,7 @@ class EvaluatorOptions(Options):
 
     path: str = option("", "folder of the path, must be given; its nodes need poses in the frame of ground_truth/odom")
     file: str = option("path_following.json", "file of the results")
-    collision_topic: str = option("bumper", "topic of collisions; empty = none is counted")
+    collision_topic: str = option("bumper", "topic of collisions; empty = none is counted", is_topic=True)
     collision_type: str = option(
         "std_msgs/msg/Bool",
         "its type: a message with a bool `data`, or with `count` and `ongoing` as gibson_msgs/msg/CollisionCount",
@@ -174,7 +187,9 @@ class GogglesOptions(Options):
     """Parameters of ``goggles``."""
 
     image_topic: str = option(
-        "camera/image_raw", "topic of the images; a name that ends in /compressed carries sensor_msgs/CompressedImage"
+        "camera/image_raw",
+        "topic of the images; a name that ends in /compressed carries sensor_msgs/CompressedImage",
+        is_topic=True,
     )
     mode: str = option("learned", f"how images are adapted to the appearance of the simulator: {', '.join(MODES)}")
     model: str = option("", "ONNX file of learned; empty = the network in the package")
@@ -209,37 +224,55 @@ def _described(one: Field[Any]) -> str:
     return f"  {one.name}  ({kind}{limits}; default {default})\n{text}"
 
 
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+"""Types of parameters; a bool is an int, too."""
+
+
+def _check_topic(name: str, topic: str) -> None:
+    if topic and not _TOPIC.fullmatch(topic):
+        raise SettingError(
+            f"parameter {name} is {quoted(topic)}, which cannot name a topic; must be letters, digits, _ and /, such as camera/image_raw"
+        )
+
+
 def _check(name: str, value: Any, default: object, least: Any, most: Any) -> None:
     """``least`` and ``most``: limits of a number; None = it has none."""
     if isinstance(default, tuple):
+        if not value:  # rclpy has None for an empty list
+            raise SettingError(f"parameter {name} is empty, must be a list of names, such as [{', '.join(default)}]")
         if not isinstance(value, Sequence) or isinstance(value, str) or not all(isinstance(part, str) and part for part in value):
-            raise SettingError(f"parameter {name} is {quoted(value)}, must be a list of names")
+            raise SettingError(f"parameter {name} is {quoted(value)}, must be a list of names, such as [{', '.join(default)}]")
         return
     allowed: Any = (int, float) if isinstance(default, float) else type(default)
     if not isinstance(value, allowed) or (isinstance(value, bool) and not isinstance(default, bool)):
-        raise SettingError(f"parameter {name} is {quoted(value)}, must be of type {type(default).__name__}, such as {default!r}")
+        kind = next(text for of, text in _KINDS.items() if isinstance(default, of))
+        raise SettingError(f"parameter {name} is {quoted(value)}, must be {kind}")
     is_limited = least is not None and most is not None and isinstance(value, (int, float))
     if is_limited and not (math.isfinite(value) and least <= value <= most):
         raise SettingError(f"parameter {name} is {value:g}, must be {least:g} to {most:g}")
 
 
-def _check_camera(camera: str, topics: Sequence[str]) -> None:
-    if camera not in IMAGES_OF:
-        raise SettingError(f"parameter camera is {quoted(camera)}, must be one of {', '.join(IMAGES_OF)}")
-    check_topics(camera, topics)
-
-
-def check_topics(camera: str, topics: Sequence[str]) -> None:
-    """Checks that a camera has the topics that it needs.
+def check_camera(camera: str, options: CameraOptions) -> None:
+    """Checks that parameters fit a kind of camera.
 
     Raises:
-        SettingError: their number is another one.
+        SettingError: there are too few topics or too many, one is given twice, or a pinhole camera cannot have the field of view.
     """
-    names = next(images for kind, images in IMAGES_OF.items() if kind == camera)
+    names, topics = next(images for kind, images in IMAGES_OF.items() if kind == camera), options.image_topics
     if len(topics) != len(names):
         raise SettingError(
             f"parameter image_topics has {len(topics)} names, a {camera} camera needs {len(names)}: {', '.join(names)}"
         )
+    if len(set(topics)) < len(topics):
+        raise SettingError(f"parameter image_topics is {quoted(list(topics))}, must be different topics: {', '.join(names)}")
+    _check_hfov("camera_hfov_deg", options.camera_hfov_deg, camera)
+
+
+def _check_hfov(name: str, value: float, camera: str) -> None:
+    least, most = PINHOLE_HFOV_DEG
+    if value != 0.0 and not (least <= value and (value <= most or camera != "pinhole")):
+        limits = f"{least:g} to {most:g} for a pinhole camera" if camera == "pinhole" else f"{least:g} to 360"
+        raise SettingError(f"parameter {name} is {value:g}, must be 0, or {limits}")
 
 
 def check_start(start: float, nodes: int) -> None:
@@ -248,7 +281,7 @@ def check_start(start: float, nodes: int) -> None:
     Raises:
         SettingError: it has not.
     """
-    if start > nodes - 1:
+    if not (start == -1.0 or 0.0 <= start <= nodes - 1):
         raise SettingError(f"parameter start is {start:g}, must be -1 = anywhere, or a node of the path, 0 to {nodes - 1}")
 
 

@@ -5,20 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Joy
 from std_msgs.msg import String
 
 from gibson_path_following.backends import make_policy
-from gibson_path_following.errors import PathFollowingError
+from gibson_path_following.errors import PathFollowingError, quoted
 from gibson_path_following.follower import FollowerSettings, PathFollower
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.path_localiser import PlacePublisher
 from gibson_path_following.nodes.running import run_node
-from gibson_path_following.options import PolicyOptions, check_start, check_topics
+from gibson_path_following.options import PolicyOptions, check_camera, check_start
 from gibson_path_following.path_folder import load_path
 from gibson_path_following.types import STOP, RecordedPath, Velocity, View
 
@@ -73,12 +74,16 @@ class PathPolicyNode(LifecycleNode):
         self._state_pub = self.create_publisher(String, "path/state", latched)
         self._cmd_pub = self.create_publisher(TwistStamped if self._options.stamped else Twist, "cmd_vel", 1)
         self._timer: Any = None
+        # rclpy raises at a transition that the state does not have, which would end the node without an answer.
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
         if not self._options.autostart:
             self._report("inactive")
         else:
             self._load()
-            self.trigger_configure()
-            self.trigger_activate()
+            done = TransitionCallbackReturn.SUCCESS
+            if self.trigger_configure() != done or self.trigger_activate() != done:
+                raise PathFollowingError("path_policy cannot be activated; the lines above say why")
 
     def _load(self) -> None:
         """Loads path and policy.
@@ -89,7 +94,7 @@ class PathPolicyNode(LifecycleNode):
         o = self._options
         path = load_path(o.path)
         check_start(o.start, len(path.nodes))
-        check_topics(path.camera, o.image_topics)
+        check_camera(path.camera, o)
         policy, localiser = make_policy(o.backend, path, o.max_linear, o.max_angular, o.camera_ahead)
         settings = FollowerSettings(
             stale_after=o.stale_after, latency=o.latency, max_linear=o.max_linear, max_angular=o.max_angular,
@@ -116,7 +121,9 @@ class PathPolicyNode(LifecycleNode):
         self._joy_ns = self._ended_ns = None
         self._failed = False
         height, width = path.nodes[0].view[0].shape[:2]
-        self._input = CameraInput(self, o, path.camera, (width, height), path.hfov, self._on_view, self._on_jump)
+        self._input = CameraInput(
+            self, o, path.camera, (width, height), path.hfov, self._on_view, self._on_jump, max_age=o.stale_after
+        )
         if o.deadman_button >= 0:
             self._joy = self.create_subscription(Joy, "joy", self._on_joy, 10)
         self._timer = self.create_timer(1.0 / o.watchdog_hz, self._on_timer)  # in the robot's time: of use_sim_time too
@@ -138,6 +145,26 @@ class PathPolicyNode(LifecycleNode):
         """Stops the robot."""
         self._halt()
         return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stops the robot after a transition that failed unexpectedly."""
+        self._halt()
+        self._path = self._follower = self._places = None
+        self.get_logger().error(f"the transition from {state.label} failed; configure and activate path_policy again")
+        return super().on_error(state)
+
+    def _on_change_state(self, request: Any, response: Any) -> Any:
+        """Refuses a transition that the present state does not have."""
+        state = self._state_machine.current_state[1]
+        try:
+            return self._change_state(request, response)
+        except RCLError:
+            labels = {number: label for number, label, *_ in self._state_machine.transition_graph}
+            label = request.transition.label or labels.get(request.transition.id, request.transition.id)
+            known = ", ".join(sorted({label for _, label, *_ in self._state_machine.available_transitions}))
+            self.get_logger().error(f"transition {quoted(label)} is not possible while path_policy is {state}; possible: {known}")
+            response.success = False
+            return response
 
     def _halt(self) -> None:
         if self._timer is not None:
@@ -167,8 +194,9 @@ class PathPolicyNode(LifecycleNode):
     def _on_view(self, stamp_ns: int, view: View) -> None:
         follower, places = self._follower, self._places
         assert follower is not None and places is not None
+        arrived_ns = self._now_ns()
         try:
-            velocity = follower.observe(stamp_ns, view)
+            follower.observe(stamp_ns, view, arrived_ns)
         except PathFollowingError as error:
             # The previous command must not stay in effect while the policy fails.
             self._failed = True
@@ -176,6 +204,14 @@ class PathPolicyNode(LifecycleNode):
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
         self._failed = False
+        now_ns = self._now_ns()
+        velocity = follower.tick(now_ns)  # a slow policy may have needed so long that the view is stale
+        if follower.state == "stale":
+            self.get_logger().warning(
+                f"{self._options.backend} needed {(now_ns - arrived_ns) / conversions.NS_PER_S:.1f} s for a view, after which it was "
+                f"{(now_ns - stamp_ns) / conversions.NS_PER_S:.1f} s old: this machine is too slow for stale_after {self._options.stale_after:g} s",
+                throttle_duration_sec=5.0,
+            )
         places.publish(stamp_ns, follower.place, follower.state)
         self._command(velocity, stamp_ns)
 
@@ -187,8 +223,6 @@ class PathPolicyNode(LifecycleNode):
 
     def _on_timer(self) -> None:
         assert self._follower is not None
-        if self._input is not None:
-            self._input.warn_if_no_image()
         now_ns = self._now_ns()
         self._command(self._follower.tick(now_ns), now_ns)
 
