@@ -177,6 +177,8 @@ def test_a_policy_that_is_too_slow_for_its_images_does_not_drive(context: Any, f
         "teach_repeat needed 1.0 s for a view, after which it was 1.0 s old: this machine is too slow for stale_after 0.5 s"
     ]
     driven.node.destroy_node()
+
+
 def test_states_from_the_start_on_come_in_their_order_and_none_alarms(context: Any, folder: Path) -> None:
     driven = Driven(context, folder)
     states = [driven.node._state]
