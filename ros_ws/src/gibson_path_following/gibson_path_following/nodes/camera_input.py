@@ -41,7 +41,7 @@ class CameraInput:
         size: width and height of its images, pixels.
         hfov: its horizontal field of view, radians; None = all that the first calibrated camera sees.
         on_view: receives the stamp, ns, and the view.
-        on_jump: called when stamps have gone back.
+        on_jump: called when stamps have gone back by more than a second; it logs what the node does then.
         max_age: age of an image, seconds, from which on it is not used; nor is one whose stamp is as far in the future. None = all are used.
 
     Raises:
@@ -106,10 +106,11 @@ class CameraInput:
         if self._is_off_clock(stamp) and self._max_age_ns is not None:
             return
         if self._used_ns is not None and stamp < self._used_ns - _BACK_NS:
-            self._node.get_logger().warning("stamps have gone back: beginning again")
             self._used_ns = None
             self._assembler.clear()
             self._on_jump()
+            if not self._subscriptions:
+                return
         complete = self._assembler.add(name, stamp, msg)
         if complete is None:
             self._warn_unless_complete()
