@@ -85,6 +85,10 @@ def test_parameters_are_read_and_changed() -> None:
     assert code == 1 and "must be a value of type double" in text
     code, text = _run("param", "set", "/physics", "step_hz", "1000")
     assert code == 1 and "Setting parameter failed" in text
+    code, text = _run("param", "set", "/physics", "step_hx", "1000")
+    assert (code, text) == (1, "error: node /physics has no parameter 'step_hx'; did you mean 'step_hz'?\n")
+    code, text = _run("param", "get", "/physics", "jpeg_quality")
+    assert code == 1 and text.startswith("error: node /physics has no parameter 'jpeg_quality'; ")
     _run("param", "set", "/physics", "rate", "1.0")
     assert _run("param", "get", "physic", "rate") == (1, "error: node '/physic' does not exist; did you mean '/physics'?\n")
 

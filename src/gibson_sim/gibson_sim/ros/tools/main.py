@@ -29,6 +29,7 @@ from gibson_sim.ros.tools.hints import check_name, missing_service, no_simulatio
 from gibson_sim.ros.tools.yaml_messages import field_of, fill, value_text, yaml_text
 from gibson_sim.ros.topics.silence import SilenceNotice
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
+from gibson_sim.settings import nearest
 from gibson_sim.types import NS_PER_S
 
 DISCOVERY_S = 1.5
@@ -388,16 +389,41 @@ def _yaml(text: str) -> Any:
 def param_list(tool: Tool, node: str = "") -> None:
     """Prints the parameters of a node, or of all nodes."""
     tool.discover()
-    suffix = "/list_parameters"
-    nodes = sorted(
-        name.removesuffix(suffix) for name, kinds in tool.known_services().items() if name.endswith(suffix) and _LIST in kinds
-    )
-    for node_name in [_node_name(node)] if node else nodes:
-        names = tool.call(f"{node_name}{suffix}", ListParameters, ListParameters.Request()).result.names
-        _print(f"{node_name}:\n" + "\n".join(f"  {name}" for name in sorted(names)))
+    for node_name in [_node_name(node)] if node else _nodes_with_parameters(tool):
+        _print(f"{node_name}:\n" + "\n".join(f"  {name}" for name in _parameters(tool, node_name)))
 
 
-_LIST = "rcl_interfaces/srv/ListParameters"
+_LIST_SUFFIX = "/list_parameters"
+
+
+def _nodes_with_parameters(tool: Tool) -> list[str]:
+    """Returns the full names of the discovered nodes that have parameter services."""
+    kind = "rcl_interfaces/srv/ListParameters"
+    services = tool.known_services().items()
+    return sorted(name.removesuffix(_LIST_SUFFIX) for name, kinds in services if name.endswith(_LIST_SUFFIX) and kind in kinds)
+
+
+def _parameters(tool: Tool, node_name: str) -> list[str]:
+    """Returns the names of a node's parameters, sorted."""
+    return sorted(tool.call(f"{node_name}{_LIST_SUFFIX}", ListParameters, ListParameters.Request()).result.names)
+
+
+def _missing_parameter(tool: Tool, node: str, name: str) -> GibsonSimError:
+    """Returns the error for a parameter that a node does not have: names the nodes that have it, or the most similar one."""
+    tool.discover()
+    others = [other for other in _nodes_with_parameters(tool) if name in _parameters(tool, other)]
+    hint = f"; {', '.join(others)} has it" if others else ""
+    if not hint and (similar := nearest(name, _parameters(tool, _node_name(node)))):
+        hint = f"; {similar}"
+    return GibsonSimError(f"node {_node_name(node)} has no parameter {quoted(name)}{hint or '; see `gibson-sim param list`'}")
+
+
+_ARRAYS = {
+    ParameterType.PARAMETER_BYTE_ARRAY: ("Byte", "byte_array_value"), ParameterType.PARAMETER_BOOL_ARRAY: ("Boolean", "bool_array_value"),
+    ParameterType.PARAMETER_INTEGER_ARRAY: ("Integer", "integer_array_value"),
+    ParameterType.PARAMETER_DOUBLE_ARRAY: ("Double", "double_array_value"),
+    ParameterType.PARAMETER_STRING_ARRAY: ("String", "string_array_value"),
+}  # fmt: skip
 _KINDS = {
     ParameterType.PARAMETER_BOOL: ("Boolean", "bool_value"), ParameterType.PARAMETER_INTEGER: ("Integer", "integer_value"),
     ParameterType.PARAMETER_DOUBLE: ("Double", "double_value"), ParameterType.PARAMETER_STRING: ("String", "string_value"),
@@ -407,12 +433,14 @@ _KINDS = {
 def param_get(tool: Tool, node: str, name: str) -> None:
     """Prints the value of a parameter."""
     value = tool.call(f"{_node_name(node)}/get_parameters", GetParameters, GetParameters.Request(names=[name])).values[:1]
-    if not value or value[0].type not in _KINDS:
-        raise GibsonSimError(
-            f"node {_node_name(node)} has no parameter {quoted(name)} with a plain value; see `gibson-sim param list`"
-        )
-    label, attribute = _KINDS[value[0].type]
-    _print(f"{label} value is: {getattr(value[0], attribute)}")
+    if not value or value[0].type == ParameterType.PARAMETER_NOT_SET:
+        raise _missing_parameter(tool, node, name)
+    if value[0].type in _KINDS:
+        label, attribute = _KINDS[value[0].type]
+        _print(f"{label} value is: {getattr(value[0], attribute)}")
+    else:
+        label, attribute = _ARRAYS[value[0].type]
+        _print(f"{label} values are: {list(getattr(value[0], attribute))}")
 
 
 def param_set(tool: Tool, node: str, name: str, value: str) -> None:
@@ -420,6 +448,8 @@ def param_set(tool: Tool, node: str, name: str, value: str) -> None:
     description = tool.call(
         f"{_node_name(node)}/describe_parameters", DescribeParameters, DescribeParameters.Request(names=[name])
     )
+    if name not in _parameters(tool, _node_name(node)):
+        raise _missing_parameter(tool, node, name)
     declared = description.descriptors[0].type if description.descriptors else ParameterType.PARAMETER_NOT_SET
     parsed = _yaml(value)
     kind = (
