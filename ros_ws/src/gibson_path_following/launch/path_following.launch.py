@@ -68,7 +68,7 @@ def generate_launch_description():
                 description="parameters of all nodes",
             ),
             goggles,
-            # Whoever follows in this file sees through them.
+            # The nodes below get the images of Goggles.
             *(SetRemap(f"camera/{name}", f"goggles/{name}", condition=with_goggles) for name in ("image_raw", "camera_info")),
             node("path_policy", {"backend": backend, "autostart": autostart}),
             node("path_evaluator", {"file": results}, condition=IfCondition(LaunchConfiguration("evaluator"))),
