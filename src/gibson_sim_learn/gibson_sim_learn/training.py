@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.writing import replacing, write_file
+from gibson_sim_learn.training_folder import check_settings
 
 Progress = Callable[[str], None]
 """Called with one line now and then."""
@@ -243,11 +244,7 @@ def load_checkpoint(file: Path, settings: Mapping[str, Any], may_change: Collect
         stored = content["settings"]
     except Exception as error:
         raise ConfigError(f"{file}: cannot be read: {error}; delete it to start anew") from error
-    different = [name for name in settings if stored.get(name) != settings[name] and name not in may_change]
-    if different:
-        raise ConfigError(
-            f"{file.parent}: holds a training with another {different[0]} ({stored.get(different[0])}); choose another --folder"
-        )
+    check_settings(file.parent, stored, settings, may_change)
     return content
 
 

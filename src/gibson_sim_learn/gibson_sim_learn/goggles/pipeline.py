@@ -21,10 +21,11 @@ from gibson_sim.writing import write_file
 from gibson_sim_learn.goggles.export import export_network, score_table, write_card
 from gibson_sim_learn.goggles.pairs import U8, VIEWS, Pairs, is_original, load_pairs, load_shard, make_pairs, shard_name
 from gibson_sim_learn.goggles.scoring import mean_of, score
-from gibson_sim_learn.goggles.settings import GogglesSettings
+from gibson_sim_learn.goggles.settings import GogglesSettings, as_dict
 from gibson_sim_learn.goggles.training import GogglesPoint, GogglesTraining
 from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
+from gibson_sim_learn.training_folder import training_folder
 
 MODEL, CARD, REFERENCE, SHEET = "goggles.onnx", "goggles.md", "simulator_look.csv", "sheet.png"
 """Files in the folder of a training: network, model card, colour reference (histograms of the simulator's images), contact sheet."""
@@ -81,8 +82,14 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
         progress: called with one line of progress.
 
     Raises:
-        GibsonSimError: there is no OpenGL device, or the folder holds another training.
+        GibsonSimError: there is no OpenGL device, or the folder holds another training, or another process trains in it.
     """
+    with training_folder(folder, as_dict(settings), GogglesTraining.MAY_CHANGE):
+        return _learn(folder, settings, progress)
+
+
+def _learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], None]) -> Learned:
+    """Trains in a locked folder, see ``learn``."""
     training, pairs = GogglesTraining(folder, settings), folder / "pairs"
     make_pairs(pairs / "training", TRAINING, settings.shards, settings.seed, shots=settings.shots, progress=progress)
     validation = _evaluation_pairs(VALIDATION_SET, pairs, settings.seed, progress)

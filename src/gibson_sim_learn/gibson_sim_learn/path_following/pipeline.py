@@ -18,9 +18,10 @@ from gibson_sim_learn.path_following.distances.training import DistancePoint, Di
 from gibson_sim_learn.path_following.drives import FollowerDriver
 from gibson_sim_learn.path_following.export import export_network, write_card
 from gibson_sim_learn.path_following.sampling import Sampler
-from gibson_sim_learn.path_following.settings import TrainingSettings
+from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
 from gibson_sim_learn.path_following.training import PathPoint, PathTraining
+from gibson_sim_learn.training_folder import training_folder
 
 MODEL, CARD = "path_following.onnx", "path_following.md"
 """Files of a training's folder: the network, and its card."""
@@ -49,8 +50,15 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
         progress: called with one line now and then.
 
     Raises:
-        GibsonSimError: nothing can be drawn here, or the folder holds another training.
+        GibsonSimError: nothing can be drawn here, or the folder holds another training, or another process trains in it.
     """
+    with training_folder(folder, as_dict(settings), PathTraining.MAY_CHANGE):
+        return _learn(folder, settings, progress)
+
+
+def _learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], None]) -> Learned:
+    """Trains in a locked folder, see ``learn``."""
+    training = PathTraining(folder, settings)
     data, validation = folder / "data" / "training", folder / "data" / "validation"
 
     def report(name: str, done: int, total: int) -> None:
@@ -64,7 +72,7 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
 
     make_data(data, TRAINING, settings.shards, draw_paths, report)
     make_data(validation, VALIDATION, settings.validation_shards, draw_paths, report)
-    training, judge = PathTraining(folder, settings), Sampler.of_folders([validation])
+    judge = Sampler.of_folders([validation])
     training.run(Sampler.of_folders([data]), judge, settings.iterations, progress)
     driven = [folder / "data" / f"dagger-{number + 1}" for number in range(settings.dagger_rounds)]
     for number, drives in enumerate(driven):
