@@ -17,7 +17,7 @@ PAPER = {6.6: (0.90, 0.983), 8.4: (0.80, 0.867), 12.7: (0.80, 0.933)}
 PAPER_TRIALS = 10
 NOT_COMPARABLE = (
     "The paper's robot was real: these figures are sim-to-sim. Nothing here shows how a follower does on a robot.",
-    "The paper has ten trials for each length (9 of 10: an interval of 0.60 to 0.98); it gives neither intervals nor controls.",
+    "The paper has ten trials for each length (9 of 10: an interval of 0.60 to 0.98); it gives neither intervals nor baselines.",
     "The paper's robot had two fisheye cameras that see all around; ours has one pinhole camera of 100 degrees unless --camera says otherwise.",
     "Lengths are those of the paper; places, turns and furniture are others.",
     "The paper does not count what touches the robot apart from success; here any touch of anything but the floor is a failure.",
