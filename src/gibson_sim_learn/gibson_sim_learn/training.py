@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.writing import replacing, write_file
+from gibson_sim_learn.remaining import Remaining
 from gibson_sim_learn.training_folder import check_settings
 
 Progress = Callable[[str], None]
@@ -72,8 +73,6 @@ class Training(ABC, Generic[N, P]):
     """Maximum number of panels per row."""
     MAY_CHANGE: ClassVar[Collection[str]] = ("iterations",)
     """Settings that may differ from those of the checkpoint: they extend a training, or do not affect it."""
-    LABEL: ClassVar[str] = ""
-    """Prefix of each line of progress."""
 
     def __init__(self, folder: Path, settings: Mapping[str, Any], optimiser: OptimiserSettings, network: Callable[[], N]) -> None:
         """Starts a training; ``_resume`` loads the checkpoint in the folder.
@@ -124,7 +123,7 @@ class Training(ABC, Generic[N, P]):
             after_point: called after each point.
         """
         settings, last, losses = self._optimiser_settings, until if last is None else last, list[float]()
-        began, before, start = time.monotonic(), time.process_time(), self.iteration
+        remaining, before = Remaining(self.iteration), time.process_time()
         while self.iteration < until:
             rate = learning_rate_at(settings.learning_rate, self.iteration - first, last - first, settings.warm_up)
             for group in self._optimiser.param_groups:
@@ -132,15 +131,15 @@ class Training(ABC, Generic[N, P]):
             losses.append(self._optimiser_step(loss()))
             self.iteration += 1
             if self.iteration % 10 == 0:
-                left = (time.monotonic() - began) / (self.iteration - start) * (until - self.iteration) / 60.0
-                recent = np.mean(losses[-50:])
-                progress(f"{self.LABEL}iteration {self.iteration} of {last}, loss {recent:.4f}, {left:.0f} min left")
+                left = remaining.text(self.iteration, until)
+                progress(f"iteration {self.iteration} of {last}, loss {np.mean(losses[-50:]):.4f}{left}")
             if self.iteration % settings.evaluate_every == 0 or self.iteration == until:
+                progress(f"iteration {self.iteration} of {last}, evaluating")
                 self._processor_s += time.process_time() - before
                 self.curve.append(point(CurvePoint(self.iteration, float(np.mean(losses)), round(self._processor_s, 1))))
                 before, losses = time.process_time(), []
                 self._save()
-                progress(f"{self.LABEL}iteration {self.iteration}: {self._summary(self.curve[-1])}")
+                progress(f"iteration {self.iteration}: {self._summary(self.curve[-1])}")
                 after_point()
 
     @abstractmethod

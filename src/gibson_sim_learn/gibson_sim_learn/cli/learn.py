@@ -10,15 +10,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.console import CONSOLE, Console
+from gibson_sim.cli.console import CONSOLE, Console, say
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError, EnvironmentProblemError
 from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
+from gibson_sim_learn.training_folder import locked
 
 _NEEDED = ("torch", "onnx", "onnxruntime")
 """Packages of the extra ``learn`` that a training needs."""
+INSTALL = "pip install -c constraints.txt --extra-index-url https://download.pytorch.org/whl/cpu 'gibson_sim_learn[learn]'"
+"""Command that installs them in the environment of ``make setup``: at versions that suit its packages, and PyTorch for the CPU."""
 _PERIOD_S = 30.0
 """Wall time between two lines of progress if the output is not a terminal, seconds."""
 
@@ -31,11 +34,17 @@ def add_parser(subparsers: Any) -> None:
         "path-following",
         help="train the network for visual path following",
         description=(
-            "Renders data in the training scenes, trains, drives with the network and trains further (DAgger). Resumes where it was interrupted. "
-            "docs/path_following_training.md"
+            "Renders data in the training scenes, trains, drives with the network and trains further (DAgger): several hours on two cores. "
+            "The same command resumes it after an interruption. To try it out in minutes: --config docs/examples/path_following_trial.yaml. "
+            "See docs/path_following_training.md."
         ),
     )
-    path.add_argument("--config", type=Path, metavar="FILE", help="YAML file of the training (default: that of the package)")
+    path.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="YAML file of the training; keys that it omits have their defaults (default: path_following.yaml of the package)",
+    )
     path.add_argument(
         "--folder",
         type=Path,
@@ -49,7 +58,8 @@ def add_parser(subparsers: Any) -> None:
         "goggles",
         help="train the network that adapts a camera's images to the simulator's appearance",
         description=(
-            "Renders pairs of images in the training scenes and trains. Resumes where it was interrupted. See docs/goggles.md."
+            "Renders pairs of images in the training scenes and trains, in about ten minutes on two cores. "
+            "The same command resumes it after an interruption. See docs/goggles.md."
         ),
     )
     goggles.add_argument("--iterations", type=int, metavar="N", help="optimiser steps (default: 3000)")
@@ -123,9 +133,9 @@ def run(args: argparse.Namespace) -> int:
 
     settings = load_settings(args.config, args.seed)
     require_learning()
-    from gibson_sim_learn.path_following.pipeline import learn
-
     with _progress() as progress:
+        from gibson_sim_learn.path_following.pipeline import learn
+
         learned = learn(args.folder, settings, progress)
     print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; curve: {args.folder / 'curve.png'}")
     return 0
@@ -138,9 +148,9 @@ def run_goggles(args: argparse.Namespace) -> int:
 
     settings = GogglesSettings(seed=args.seed, **({} if args.iterations is None else {"iterations": args.iterations}))
     require_learning()
-    from gibson_sim_learn.goggles.pipeline import learn
-
     with _progress() as progress:
+        from gibson_sim_learn.goggles.pipeline import learn
+
         learned = learn(args.folder, settings, progress)
     print("\n".join(learned.scores))
     print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; examples: {args.folder / 'sheet.png'}")
@@ -150,12 +160,12 @@ def run_goggles(args: argparse.Namespace) -> int:
 @quiet()
 def run_filler_pairs(args: argparse.Namespace) -> int:
     """Renders training pairs of the filler, and prints their path."""
-    from gibson_sim_learn.filler.pipeline import PAIRS, SCENES, make_all_pairs
-
     settings = settings_from_args(PairsSettings, args)
     if importlib.util.find_spec("open3d") is None:  # found here, not after the first scan
         raise EnvironmentProblemError("Open3D, which fuses the scans, is not installed: pip install 'gibson_sim_tools[scanning]'")
     with _progress() as progress:
+        from gibson_sim_learn.filler.pipeline import PAIRS, SCENES, make_all_pairs
+
         make_all_pairs(args.folder, settings, SCENES if args.scenes is None else args.scenes.split(","), progress)
     print(f"{args.folder / PAIRS} holds the pairs; next: gibson-sim learn filler train --folder {args.folder}")
     return 0
@@ -166,10 +176,11 @@ def run_filler_training(args: argparse.Namespace) -> int:
     """Trains the filler, and prints its metrics and the path of the network."""
     settings = settings_from_args(TrainingSettings, args)
     require_learning()
-    from gibson_sim_learn.filler.pipeline import train
-
     with _progress() as progress:
-        trained = train(args.folder, settings, progress)
+        from gibson_sim_learn.filler.pipeline import TRAINED, train
+
+        with locked(args.folder / TRAINED):
+            trained = train(args.folder, settings, progress)
     print(trained.summary)
     print(f"{trained.model}: {trained.size / 1e6:.1f} MB; card: {trained.card}; curve: {trained.card.with_name('curve.png')}")
     return 0
@@ -178,12 +189,12 @@ def run_filler_training(args: argparse.Namespace) -> int:
 @quiet()
 def run_filler_evaluation(args: argparse.Namespace) -> int:
     """Compares fillers, and prints a table."""
-    from gibson_sim_learn.filler.pipeline import MODEL, TRAINED, evaluate
-    from gibson_sim_learn.path_following.split import HELD_OUT, VALIDATION
-
     settings = settings_from_args(EvaluationSettings, args)
-    model = args.folder / TRAINED / MODEL if args.model is None else args.model
-    with _progress() as progress:
+    with _progress("interrupted; nothing is written") as progress:
+        from gibson_sim_learn.filler.pipeline import MODEL, TRAINED, evaluate
+        from gibson_sim_learn.path_following.split import HELD_OUT, VALIDATION
+
+        model = args.folder / TRAINED / MODEL if args.model is None else args.model
         found = evaluate(
             args.folder,
             VALIDATION if args.validation else HELD_OUT,
@@ -205,14 +216,18 @@ def require_learning() -> None:
     """
     for name in _NEEDED:
         if importlib.util.find_spec(name) is None:
-            raise ConfigError(f"learning needs {name}, which is not installed: pip install gibson_sim_learn[learn]")
+            raise ConfigError(f"learning needs {name}, which is not installed; in the checkout: {INSTALL}")
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[str], None]]:
-    """Yields a function that shows a line of progress; clears the line at the end."""
+def _progress(on_interrupt: str = "interrupted; the same command resumes") -> Iterator[Callable[[str], None]]:
+    """Yields a function that shows a line of progress; clears the line at the end, and prints ``on_interrupt`` after Ctrl-C."""
     try:
         yield _Progress(CONSOLE).show
+    except KeyboardInterrupt:
+        CONSOLE.status("")
+        say(on_interrupt)
+        raise
     finally:
         CONSOLE.status("")
 

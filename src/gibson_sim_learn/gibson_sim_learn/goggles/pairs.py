@@ -40,6 +40,7 @@ from gibson_sim_learn.path_following.data import (
 from gibson_sim_learn.path_following.domains import Conditions, domain_of, draw
 from gibson_sim_learn.path_following.drawing import CAMERA_AHEAD, HEIGHT, WIDTH, camera_at
 from gibson_sim_learn.path_following.photometry import photographed, relit_linear
+from gibson_sim_learn.remaining import Remaining
 
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
@@ -107,8 +108,10 @@ def make_pairs(
     """
     worlds: dict[str, World] = {}
     todo = [(scene, number) for number in range(count) for scene in scenes if not (folder / shard_name(scene, number)).is_dir()]
-    for done, (scene, number) in enumerate(todo, count * len(scenes) - len(todo)):
-        progress(f"pairs: {shard_name(scene, number)}, {done} of {count * len(scenes)} shards")
+    total = count * len(scenes)
+    remaining = Remaining(total - len(todo))
+    for done, (scene, number) in enumerate(todo, total - len(todo)):
+        progress(f"pairs: {shard_name(scene, number)}, {done} of {total} shards{remaining.text(done, total)}")
         if scene not in worlds:
             worlds[scene] = World.load(scene)
         save_pairs(

@@ -31,6 +31,7 @@ from gibson_sim_learn.path_following.data import (
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
 from gibson_sim_learn.path_following.drawing import HFOV
 from gibson_sim_learn.path_following.drives import Driver, PathSite, Recording, Trace, follow, record
+from gibson_sim_learn.remaining import Remaining
 
 F64 = NDArray[np.float64]
 LENGTHS = (5.0, 7.0, 9.0, 11.0)
@@ -62,6 +63,9 @@ def drive_all(
         driver_of: returns the driver of a path: a follower with the network.
         progress: called after each drive with one line on it.
     """
+    total = drives * len(scenes)
+    done = sum((folder / f"{scene}-{number:03d}").is_dir() for scene in scenes for number in range(drives))
+    remaining = Remaining(done)
     for scene in scenes:
         names = [folder / f"{scene}-{number:03d}" for number in range(drives)]
         if all(name.is_dir() for name in names):
@@ -78,10 +82,13 @@ def drive_all(
                     recording = record(site, draw_cases(site.ground, scene, length, 1, 1000 * seed + number)[0])
                     trace = _drive(site, recording, driver_of(recording.path), conditions, number)
                 except SceneError as error:  # no room for such a path, or the robot cannot be put on it
-                    progress(f"{name.name}: {error}")
+                    done += 1
+                    progress(f"drive {done} of {total}, {name.name}: {error}")
                     continue
                 save_shard(name, drive_shard(world, site, recording, trace, conditions, seed))
-                progress(f"{name.name}: {trace.ended}, coverage {trace.outcome(recording).coverage:.2f}")
+                done += 1
+                result = f"{trace.ended}, coverage {trace.outcome(recording).coverage:.2f}"
+                progress(f"drive {done} of {total}, {name.name}: {result}{remaining.text(done, total)}")
 
 
 def _drive(site: PathSite, recording: Recording, driver: Driver, conditions: Conditions, seed: int) -> Trace:

@@ -31,6 +31,7 @@ from gibson_sim_learn.arrays import load_arrays, save_arrays
 from gibson_sim_learn.path_following.clutter import random_furniture, random_object
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
 from gibson_sim_learn.path_following.drawing import CAMERA_AHEAD, HFOV, Drawing
+from gibson_sim_learn.remaining import Remaining
 
 F64 = NDArray[np.float64]
 DIRECTIONS = 24
@@ -200,7 +201,7 @@ def make_data(
     scenes: Sequence[str],
     count: int,
     draw_one: Callable[[World, int], Shard],
-    progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Draws the missing shards.
 
@@ -209,13 +210,14 @@ def make_data(
         scenes: names of the scenes.
         count: number of shards of each scene.
         draw_one: draws the shard of a scene and a number.
-        progress: called before each shard with its name, the number of shards so far, and the total.
+        progress: called with one line before each shard.
     """
     worlds: dict[str, World] = {}
     total = len(scenes) * count
     todo = list(missing_shards(folder, scenes, count))
+    remaining = Remaining(total - len(todo))
     for done, (scene, number) in enumerate(todo, total - len(todo)):
-        progress(shard_name(scene, number), done, total)
+        progress(f"{shard_name(scene, number)}, {done} of {total} shards{remaining.text(done, total)}")
         if scene not in worlds:
             worlds[scene] = World.load(scene)
         save_shard(folder / shard_name(scene, number), draw_one(worlds[scene], number))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,9 +61,12 @@ def _learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], N
     """Trains in a locked folder, see ``learn``."""
     training = PathTraining(folder, settings)
     data, validation = folder / "data" / "training", folder / "data" / "validation"
+    numbers, count = itertools.count(1), 6 + 2 * settings.dagger_rounds
 
-    def report(name: str, done: int, total: int) -> None:
-        progress(f"data: {name}, {done} of {total} shards")
+    def stage(name: str) -> Callable[[str], None]:
+        """Begins the next stage; returns its function for progress."""
+        number = next(numbers)
+        return lambda text: progress(f"stage {number} of {count}, {name}: {text}")
 
     def draw_paths(world: World, number: int) -> Shard:
         return draw_shard(world, settings.seed, number, settings.data)
@@ -70,25 +74,26 @@ def _learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], N
     def draw_obstacles(world: World, number: int) -> Shard:
         return draw_obstacle_shard(world, settings.seed, number)
 
-    make_data(data, TRAINING, settings.shards, draw_paths, report)
-    make_data(validation, VALIDATION, settings.validation_shards, draw_paths, report)
+    make_data(data, TRAINING, settings.shards, draw_paths, stage("data"))
+    make_data(validation, VALIDATION, settings.validation_shards, draw_paths, stage("validation data"))
     judge = Sampler.of_folders([validation])
-    training.run(Sampler.of_folders([data]), judge, settings.iterations, progress)
+    training.run(Sampler.of_folders([data]), judge, settings.iterations, stage("training"))
     driven = [folder / "data" / f"dagger-{number + 1}" for number in range(settings.dagger_rounds)]
     for number, drives in enumerate(driven):
+        drive_progress = stage("drives")
         if training.round == number:
-            _drive(drives, folder / f"round-{number}.onnx", training, judge, number, progress)
+            _drive(drives, folder / f"round-{number}.onnx", training, judge, number, drive_progress)
             training.begin_round()
         steps = settings.last_iterations if number + 1 == len(driven) else settings.dagger_iterations
         until = settings.iterations + number * settings.dagger_iterations + steps
-        training.run(Sampler.of_folders([data, *driven[: number + 1]]), judge, until, progress)
+        training.run(Sampler.of_folders([data, *driven[: number + 1]]), judge, until, stage("training"))
     every = Sampler.of_folders([data, *driven])
     obstacles, judged = folder / "data" / "obstacles", folder / "data" / "obstacles-validation"
-    make_data(obstacles, TRAINING, settings.distances.obstacle_shards, draw_obstacles, report)
-    make_data(judged, VALIDATION, settings.validation_shards, draw_obstacles, report)
+    make_data(obstacles, TRAINING, settings.distances.obstacle_shards, draw_obstacles, stage("obstacles"))
+    make_data(judged, VALIDATION, settings.validation_shards, draw_obstacles, stage("validation obstacles"))
     close = Sampler.of_folders([obstacles])
     distances = DistanceTraining(folder / "distances", settings)
-    distances.run(every, close, (judge, Sampler.of_folders([judged])), progress)
+    distances.run(every, close, (judge, Sampler.of_folders([judged])), stage("distances"))
     offsets = training.offsets(judge)
     size = export_network(training.network, folder / MODEL, offsets, distances.network)
     points = training.curve[-1], distances.curve[-1]

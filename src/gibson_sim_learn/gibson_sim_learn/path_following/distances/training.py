@@ -60,7 +60,6 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
         ("obstacles: error rates", ["obstacles_too_far", "obstacles_too_near"]),
     )
     COLUMNS = 2
-    LABEL = "distances: "
 
     def __init__(self, folder: Path, settings: TrainingSettings) -> None:
         """Begins, or resumes from the checkpoint in the folder.
