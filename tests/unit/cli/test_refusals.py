@@ -38,7 +38,7 @@ WRONG = [
     (("run", "--video", "new.webm"), 1, "--video 'new.webm': the name must end in .mp4"),
     (("run", "--recrod", "x"), 2, "unrecognized arguments: --recrod x; did you mean '--record'?"),
     (("runn",), 2, "command 'runn' is unknown; did you mean 'run'? known: action, bag"),
-    (("bag", "chek", "x"), 2, "'chek' is unknown; did you mean 'check'? known: check, plot, repair"),
+    (("bag", "chek", "x"), 2, "'chek' is unknown; did you mean 'check'? known: check, play, plot, repair"),
     (("export", "a", "b", "--to", "tumm"), 2, "argument --to: 'tumm' is unknown; did you mean 'tum'? known: tum, nerfstudio, lerobot, png"),
     (("demo", "opendoor"), 1, "demo 'opendoor' is unknown; did you mean 'open-door'?"),
     (("task", "point-gaol"), 1, "'task' is 'point-gaol', must be one of point-goal, push-through"),
@@ -46,6 +46,9 @@ WRONG = [
     (("render", "nosuch", "--output", "new"), 1, "there is no bag at nosuch"),
     (("compare", "nosuch", "nosuch"), 1, "there is no bag at nosuch"),
     (("replay", "nosuch"), 1, "there is no bag at nosuch"),
+    (("bag", "play", "nosuch"), 1, "there is no bag at nosuch"),
+    (("bag", "play", "nosuch", "--rate", "-1"), 1, "--rate is -1, must be above 0"),
+    (("bag", "play", "nosuch", "--ratte", "2"), 2, "did you mean '--rate'?"),
 ]  # fmt: skip
 
 

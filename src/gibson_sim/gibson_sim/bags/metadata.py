@@ -12,12 +12,22 @@ import yaml
 
 from gibson_sim.errors import TextError
 from gibson_sim.reading import parse_yaml, read_yaml_file
+from gibson_sim.types import NS_PER_S
 
 METADATA_FILE = "metadata.yaml"
 VERSION = 9
 ROS_DISTRO = "jazzy"
 FOREVER_NS = 2**63 - 1
 """Duration that Fast DDS reports for an infinite deadline, lifespan or lease, nanoseconds."""
+
+
+_POLICIES = {
+    "history": ("keep_last", "keep_all"),
+    "reliability": ("reliable", "best_effort"),
+    "durability": ("volatile", "transient_local"),
+    "liveliness": ("automatic", "manual_by_topic"),
+}
+"""Policy -> values that a publisher can offer; a bag may also have ``unknown`` or ``system_default``."""
 
 
 class Profile(Protocol):
@@ -64,6 +74,30 @@ class TopicQos:
                 value = str(value.name).lower()
             values[f.name] = value
         return cls(**values)
+
+    @classmethod
+    def recorded(cls, profile: Any) -> TopicQos:
+        """Converts a profile of a bag, ``rosbags.interfaces.Qos``; policies that the bag does not name have their defaults."""
+        default = cls()
+
+        def policy(name: str) -> str:
+            value = str(getattr(profile, name).name).lower()
+            return value if value in _POLICIES[name] else str(getattr(default, name))
+
+        def nanoseconds(name: str) -> int:
+            time = getattr(profile, name)
+            return int(time.sec * NS_PER_S + time.nsec) or FOREVER_NS
+
+        return cls(
+            history=policy("history"),
+            depth=profile.depth or default.depth,
+            reliability=policy("reliability"),
+            durability=policy("durability"),
+            deadline_ns=nanoseconds("deadline"),
+            lifespan_ns=nanoseconds("lifespan"),
+            liveliness=policy("liveliness"),
+            liveliness_lease_duration_ns=nanoseconds("liveliness_lease_duration"),
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Returns the mapping that rosbag2 writes."""

@@ -18,6 +18,7 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from gibson_sim.bags.folders import check_bag
+from gibson_sim.bags.metadata import TopicQos
 from gibson_sim.errors import RecordError
 from gibson_sim.quoting import clipped, quoted
 
@@ -99,6 +100,14 @@ class BagReader:
                 connection.topic, connection.msgtype, count, latched, self._begins_with_stamp(connection.msgtype)
             )
         return infos
+
+    def offered_qos(self) -> dict[str, list[TopicQos]]:
+        """Returns the QoS of the recorded publishers of each topic; an empty list if the bag does not have it."""
+        profiles: dict[str, list[TopicQos]] = {}
+        for connection in self._open().connections:
+            recorded = getattr(connection.ext, "offered_qos_profiles", [])
+            profiles.setdefault(connection.topic, []).extend(TopicQos.recorded(profile) for profile in recorded)
+        return profiles
 
     def messages(
         self, topics: Collection[str] | None = None, *, start_ns: int | None = None, stop_ns: int | None = None

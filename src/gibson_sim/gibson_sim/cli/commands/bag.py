@@ -1,18 +1,24 @@
-"""``gibson-sim bag``: checks, plots and repairs bags, writes images and videos from bags, and bags from images."""
+"""``gibson-sim bag``: checks, plays, plots and repairs bags, writes images and videos from bags, and bags from images."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from gibson_sim import __version__
+from gibson_sim.bags import folders
 from gibson_sim.bags.check import check_bag
 from gibson_sim.bags.film import write_film, write_film_strip
 from gibson_sim.bags.images.from_files import FOLDER_RATE_HZ, SUFFIXES as IMAGE_SUFFIXES, CameraSettings, write_bag
+from gibson_sim.bags.playback.options import DEFAULT_CLOCK_HZ, PlayOptions
 from gibson_sim.bags.progress import progress_bar
 from gibson_sim.bags.video import write_contact_sheet, write_pictures
 from gibson_sim.bags.writer import repair
+from gibson_sim.cli.environment import add_network, environment_of, require_nodes
+from gibson_sim.cli.options import given
+from gibson_sim.cli.processes import become
 from gibson_sim.errors import RecordError
 from gibson_sim.picture_files import SUFFIXES
 
@@ -20,13 +26,18 @@ from gibson_sim.picture_files import SUFFIXES
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command with its own sub-commands."""
     parser = subparsers.add_parser(
-        "bag", help="check, plot or repair a bag; write videos and film strips of it; convert images to a bag"
+        "bag", help="check, play, plot or repair a bag; write videos and film strips of it; convert images to a bag"
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     check = actions.add_parser(
         "check", help="counts, rates, stamps, contacts and odometry of a bag; exit code 1 if stamps do not agree"
     )
     check.set_defaults(run=_check)
+    playing = actions.add_parser(
+        "play",
+        help="publish the messages of a bag at their recorded times; options as of `ros2 bag play`, for machines without it",
+    )
+    playing.set_defaults(run=_play)
     plot = actions.add_parser("plot", help="draw path, velocities, contacts and rates of a bag; needs matplotlib")
     plot.set_defaults(run=_plot)
     repairing = actions.add_parser("repair", help="repair a bag that a crash or a full disk truncated")
@@ -40,8 +51,9 @@ def add_parser(subparsers: Any) -> None:
     making = actions.add_parser("from-images", help="convert a folder of photographs, or a video, to a bag")
     making.set_defaults(run=_from_images)
     _add_from_images(making)
-    for action in (check, plot, repairing, video, sheet, film):
+    for action in (check, playing, plot, repairing, video, sheet, film):
         action.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
+    _add_play(playing)
     plot.add_argument(
         "files", type=Path, nargs="*", metavar="FILE", help="picture (.png) or page (.html); one or more (default: DIR_plot.png)"
     )
@@ -64,6 +76,55 @@ def add_parser(subparsers: Any) -> None:
     film.add_argument(
         "--speed", type=float, default=1.0, help="playback speed: seconds of the run per second of video (default: 1)"
     )
+
+
+def _add_play(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "-r", "--rate", type=float, metavar="FACTOR", help="seconds of the bag per second of wall time (default: 1)"
+    )
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="topics to play, separated by spaces (default: all)")
+    parser.add_argument("--exclude-topics", nargs="+", metavar="TOPIC", help="topics not to play, separated by spaces")
+    parser.add_argument(
+        "-m", "--remap", nargs="+", metavar="OLD:=NEW", help="publish the topic OLD of the bag as NEW; one or more rules"
+    )
+    parser.add_argument("-l", "--loop", action="store_true", help="start again at the end, until Ctrl-C")
+    parser.add_argument("--start-offset", type=float, metavar="S", help="start S seconds after the start of the bag")
+    parser.add_argument(
+        "--playback-duration", type=float, metavar="S", help="end after S seconds of the bag (default: at its end)"
+    )
+    parser.add_argument(
+        "--clock",
+        type=float,
+        nargs="?",
+        const=DEFAULT_CLOCK_HZ,
+        metavar="HZ",
+        help=f"publish the time of the playback on /clock, HZ times per second of wall time (without a number: {DEFAULT_CLOCK_HZ:g}); "
+        "the bag's own /clock is never played",
+    )
+    parser.add_argument(
+        "-d", "--delay", type=float, metavar="S", help="wait S seconds before the start, and before each repetition"
+    )
+    parser.add_argument(
+        "--wait-for",
+        nargs="+",
+        metavar="TOPIC[:N]",
+        help="wait until N nodes (1) subscribe to each of these published topics; without it, playback starts when the nodes that already "
+        "run are connected",
+    )
+    parser.add_argument("-p", "--start-paused", action="store_true", help="start paused; SPACE resumes, and pauses at any time")
+    add_network(parser)
+
+
+def _play(args: argparse.Namespace) -> int:
+    """Replaces this process by the play node, so that it owns the terminal, the signals and the exit code."""
+    require_nodes()
+    names = [field.name for field in fields(PlayOptions) if field.name != "bag"]
+    values: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in given(args, names).items()
+    }
+    options = PlayOptions(str(args.bag), **values)
+    folders.check_bag(args.bag)
+    become("play_node", [options.to_json()], environment_of(args))
 
 
 def _add_from_images(parser: argparse.ArgumentParser) -> None:

@@ -21,7 +21,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 
 from gibson_sim import interrupts
 from gibson_sim.bags.definitions import canonical_type
-from gibson_sim.bags.metadata import FOREVER_NS, TopicQos
+from gibson_sim.bags.metadata import TopicQos
 from gibson_sim.bags.progress import Advance, no_progress, progress_bar
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, CameraSchedule, scene_topics, state_period_ns, topics_to_copy
@@ -56,9 +56,6 @@ from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
 logger = logging.getLogger(__name__)
 _SEPARATOR = "=" * 80
-_HISTORIES = ("keep_last", "keep_all")
-_RELIABILITIES = ("reliable", "best_effort")
-_DURABILITIES = ("transient_local", "volatile")
 
 
 def render_bag(job: RenderBagConfig, render: RenderConfig, advance: Advance = no_progress) -> Summary:
@@ -395,24 +392,7 @@ def definitions_of(connections: Iterable[Connection]) -> dict[str, str]:
 def offered_qos(connection: Connection) -> TopicQos:
     """Returns the QoS with which a topic was recorded; policies that are not in the bag have their defaults."""
     profiles = connection.ext.offered_qos_profiles if isinstance(connection.ext, ConnectionExtRosbag2) else []
-    if not profiles:
-        return TopicQos()
-    profile, default = profiles[0], TopicQos()
-
-    def policy(value: str, known: tuple[str, ...], fallback: str) -> str:
-        return value.lower() if value.lower() in known else fallback
-
-    def nanoseconds(sec: int, nsec: int) -> int:
-        return sec * NS_PER_S + nsec or FOREVER_NS
-
-    return TopicQos(
-        history=policy(profile.history.name, _HISTORIES, default.history),
-        depth=profile.depth or default.depth,
-        reliability=policy(profile.reliability.name, _RELIABILITIES, default.reliability),
-        durability=policy(profile.durability.name, _DURABILITIES, default.durability),
-        deadline_ns=nanoseconds(profile.deadline.sec, profile.deadline.nsec),
-        lifespan_ns=nanoseconds(profile.lifespan.sec, profile.lifespan.nsec),
-    )
+    return TopicQos.recorded(profiles[0]) if profiles else TopicQos()
 
 
 def _load_lights(path: str) -> LightSpec:

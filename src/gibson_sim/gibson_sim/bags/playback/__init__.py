@@ -1,0 +1,1 @@
+"""Playback of bags on their topics."""
