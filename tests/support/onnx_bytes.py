@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-TYPES = {"float32": 1, "uint8": 2, "int64": 7}
+TYPES = {"float32": 1, "uint8": 2, "int64": 7, "string": 8}
 """Numbers of element types."""
 
 

@@ -21,7 +21,12 @@ METADATA = {
 
 
 def path_model(
-    free: Sequence[float], *, metadata: Mapping[str, str] = METADATA, outputs: Sequence[str] = OUTPUTS, earlier: bool = False
+    free: Sequence[float],
+    *,
+    metadata: Mapping[str, str] = METADATA,
+    outputs: Sequence[str] = OUTPUTS,
+    earlier: bool = False,
+    poses: int | None = None,
 ) -> bytes:
     """Returns the bytes of an ONNX file.
 
@@ -33,12 +38,13 @@ def path_model(
         metadata: that of the file.
         outputs: their names.
         earlier: it has the input ``earlier``, which tells it nothing.
+        poses: number of poses that it always returns; None = one for each recorded image.
     """
     nodes = [
         node("Cast", ["recorded"], "floats", to=_FLOAT),
         node("ReduceMean", ["floats"], "mean", axes=[1, 2], keepdims=0),
         node("Sub", ["mean", "zero_at"], "shifted"),
-        node("Mul", ["shifted", "hundredth"], outputs[0]),
+        node("Mul", ["shifted", "hundredth"], outputs[0]) if poses is None else node("Identity", ["fixed"], outputs[0]),
         node("Mul", ["mean", "none"], "nothing"),
         node("Add", ["nothing", "error"], outputs[1]),
         node("Mul", ["mean", "only_red"], "red"),
@@ -55,6 +61,7 @@ def path_model(
         "none": [0],
         "error": [0.05],
         "only_red": [1, 0, 0],
+        "fixed": np.zeros((poses or 0, 3)),
     }
     inputs = [value("present", "uint8", [1, 64, 96, 3]), value("recorded", "uint8", ["k", 64, 96, 3])]
     if earlier:

@@ -230,9 +230,15 @@ def _with_external_data(file: str) -> bytes:
     return ox.model([ox.node("Add", ["a", "w"], "c")], inputs, [ox.value("c", "float32", [1])], tensors)
 
 
+def _texts() -> bytes:
+    inputs = [ox.value("images", "float32", ["batch", 18, 64, 85]), ox.value("goal", "float32", ["batch", 3, 64, 85])]
+    return ox.model([ox.node("Cast", ["goal"], "texts", to=8)], inputs, [ox.value("texts", "string", ["batch", 3, 64, 85])])
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
+        (_texts(), r"network\.onnx: an output holds texts, maps or sequences, must be an array of numbers; export it again"),
         (b"", r"network\.onnx is empty; export it again"),
         (b"GIF89a and so on", r"network\.onnx is not an ONNX file, or is truncated"),
         (goal_network()[:-200], r"network\.onnx is not an ONNX file, or is truncated"),

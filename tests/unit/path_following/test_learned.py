@@ -206,6 +206,31 @@ def test_paths_of_fisheyes_are_refused(tmp_path: Path) -> None:
         LearnedPolicy(path, model(tmp_path))
 
 
+@pytest.mark.parametrize("hfov_deg", ["nan", "inf", "0", "0.001", "-5", "180", "1e9"])
+def test_a_network_with_an_impossible_field_of_view_is_refused(tmp_path: Path, hfov_deg: str) -> None:
+    file = tmp_path / "model.onnx"
+    file.write_bytes(path_model(FREE, metadata={**METADATA, "hfov_deg": hfov_deg}))
+    with pytest.raises(ModelError, match=f"its hfov_deg is {float(hfov_deg):g}, must be 10 to 179; export".replace("+", r"\+")):
+        PathModel(file)
+
+
+@pytest.mark.parametrize("step", [1e-12, 1e12, math.inf])
+def test_a_network_with_impossible_ranges_is_refused(tmp_path: Path, step: float) -> None:
+    edges = ",".join(str(k * step if k else 0) for k in range(31))
+    file = tmp_path / "model.onnx"
+    file.write_bytes(path_model(FREE, metadata={**METADATA, "free_edges": edges}))
+    with pytest.raises(ModelError, match=r"must be 31 that grow from 0 m to at least 0\.5 m and at most 100 m"):
+        PathModel(file)
+
+
+@pytest.mark.parametrize("poses", [1, 100])
+def test_a_network_whose_outputs_do_not_fit_the_recorded_images_is_refused(tmp_path: Path, poses: int) -> None:
+    file = tmp_path / "model.onnx"
+    file.write_bytes(path_model(FREE, poses=poses))
+    with pytest.raises(ModelError, match=rf"its outputs pose, scale, match, hit have shapes \({poses}, 3\), .*, must be \("):
+        PathModel(file)
+
+
 def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "other.onnx"
     file.write_bytes(path_model(FREE, outputs=("a", "b", "c", "d")))
@@ -216,7 +241,7 @@ def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="its metadata lack one of hfov_deg, free_edges, offset_ratio, offset_deviation"):
         PathModel(file)
     file.write_bytes(path_model(FREE, metadata={**METADATA, "free_edges": "0,1,3"}))
-    with pytest.raises(ModelError, match="its free_edges are 3 numbers, must be 31 that grow from 0 m"):
+    with pytest.raises(ModelError, match="its free_edges are 3 numbers, 0 to 3, must be 31 that grow from 0 m"):
         PathModel(file)
     file.write_bytes(path_model(FREE, metadata={**METADATA, "offset_ratio": "0"}))
     with pytest.raises(ModelError, match=r"its offset_ratio is 0 and its offset_deviation 0, must be 0\.05 to 2 and 0 to 10 m"):

@@ -67,13 +67,15 @@ def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
     """Returns all outputs of a network.
 
     Raises:
-        ModelError: the network cannot be run with these inputs, or returns a NaN or an infinity.
+        ModelError: the network cannot be run with these inputs, or returns something else than finite numbers.
     """
     try:
         found = list(session.run(None, feeds))
     except Exception as error:  # onnxruntime does not export their types
         raise ModelError(f"{file} cannot be run: {_reason(error)}") from error
-    if not all(np.isfinite(value).all() for value in found if np.issubdtype(np.asarray(value).dtype, np.number)):
+    if not all(isinstance(value, np.ndarray) and value.dtype.kind in "biuf" for value in found):
+        raise ModelError(f"{file}: an output holds texts, maps or sequences, must be an array of numbers; export it again")
+    if not all(np.isfinite(value).all() for value in found):
         raise ModelError(f"{file}: its output holds a NaN or an infinity; export it again")
     return found
 

@@ -26,6 +26,10 @@ _OUTPUTS = ("pose", "scale", "match", "hit")
 """Outputs of the network."""
 _METADATA = ("hfov_deg", "free_edges", "offset_ratio", "offset_deviation")
 """Keys that the metadata of the file must have."""
+_HFOV_DEG = (10.0, 179.0)
+"""Least and largest horizontal field of view of its images, degrees."""
+_MIN_RANGE, _MAX_RANGE = 0.5, 100.0
+"""Limits of the last edge of the range bins, metres."""
 _CAMERA_HEIGHT = "camera_height"
 """Key that they must have besides if the network has the input ``earlier``."""
 
@@ -49,7 +53,7 @@ class PathModel:
     """Network of an ONNX file, run on one core."""
 
     def __init__(self, file: Path) -> None:
-        """Loads the network.
+        """Loads the network and runs it once.
 
         Raises:
             ModelError: onnxruntime is not installed, or the file holds no such network.
@@ -60,7 +64,8 @@ class PathModel:
         _, self.height, self.width, _ = self._session.get_inputs()[0].shape
         metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
         try:
-            self.hfov = math.radians(float(metadata["hfov_deg"]))
+            hfov_deg = float(metadata["hfov_deg"])
+            self.hfov = math.radians(hfov_deg)
             """Horizontal field of view of its images, radians."""
             self.edges: F64 = np.array([float(edge) for edge in metadata["free_edges"].split(",")])
             """(B + 1,), float64: edges of the range bins, metres, from 0."""
@@ -68,14 +73,17 @@ class PathModel:
             """Calibration of its lateral offsets."""
             camera_height = float(metadata[_CAMERA_HEIGHT]) if _CAMERA_HEIGHT in required else None
         except (KeyError, ValueError) as error:
-            raise ModelError(f"{file}: its metadata lack one of {', '.join(required)} as numbers; export it anew") from error
+            raise ModelError(f"{file}: its metadata lack one of {', '.join(required)} as numbers; export it again") from error
         bearing_count, bins = self._session.get_outputs()[3].shape
-        self._check_metadata(file, bins, camera_height)
+        self._check_metadata(file, bins, hfov_deg, camera_height)
         self._floor = None if camera_height is None else FloorPlane(self.width, self.height, self.hfov, camera_height)
         """Warps earlier images onto the present one; None = the network has no such input."""
         across = 1.0 - (np.arange(bearing_count) + 0.5) * 2.0 / bearing_count
         self.bearings: F64 = np.arctan(across * math.tan(self.hfov / 2.0))
         """(D,), float64: bearings of the rows of ``Prediction.hit``, camera frame, radians, positive to the left, leftmost first."""
+        grey = np.full((3, self.height, self.width, 3), 128, dtype=np.uint8)
+        for count in (1, 2):
+            self.estimate(grey[0], grey[:count], (grey[2], np.zeros(3)))
 
     def estimate(self, present: Image, recorded: NDArray[np.uint8], earlier: tuple[Image, F64] | None = None) -> Prediction:
         """Returns the outputs for a view.
@@ -87,13 +95,21 @@ class PathModel:
                 y to the left, yaw; metres and radians. None = there is none.
 
         Raises:
-            ModelError: the network cannot be run.
+            ModelError: the network cannot be run, or its outputs are not those of our networks.
         """
         images = {"present": present[None], "recorded": recorded}
         if self._floor is not None:
             warped = np.zeros_like(present) if earlier is None else self._floor.warp(*earlier)
             images["earlier"] = warped[None]
         values = run(self._session, self._file, images)
+        count = len(recorded)
+        needed = [(count, 3), (count, 3), (count,), (len(self.bearings), len(self.edges))]
+        found = [value.shape for value in values]
+        if found != needed:
+            raise ModelError(
+                f"{self._file}: for {count} recorded images its outputs {', '.join(_OUTPUTS)} have shapes {', '.join(map(str, found))}, must be "
+                f"{', '.join(map(str, needed))}; use a file that gibson-sim learn path-following wrote"
+            )
         return Prediction(*(np.asarray(value, dtype=np.float64) for value in values))
 
     def resample(self, image: Image, hfov: float) -> Image:
@@ -130,19 +146,24 @@ class PathModel:
                 "(directions, bins), with fixed sizes"
             )
 
-    def _check_metadata(self, file: Path, bins: int, camera_height: float | None) -> None:
+    def _check_metadata(self, file: Path, bins: int, hfov_deg: float, camera_height: float | None) -> None:
         """Raises ModelError if a number of the metadata is not possible; ``bins``: columns of ``hit``."""
-        if bins != len(self.edges) or self.edges[0] != 0.0 or not (np.diff(self.edges) > 0.0).all():
+        least, most = _HFOV_DEG
+        if not least <= hfov_deg <= most:
+            raise ModelError(f"{file}: its hfov_deg is {hfov_deg:g}, must be {least:g} to {most:g}; export it again")
+        grows = bool(np.isfinite(self.edges).all()) and self.edges[0] == 0.0 and bool((np.diff(self.edges) > 0.0).all())
+        if bins != len(self.edges) or not grows or not _MIN_RANGE <= self.edges[-1] <= _MAX_RANGE:
             raise ModelError(
-                f"{file}: its free_edges are {len(self.edges)} numbers, must be {bins} that grow from 0 m; export it anew"
+                f"{file}: its free_edges are {len(self.edges)} numbers, {self.edges[0]:g} to {self.edges[-1]:g}, must be {bins} that grow from "
+                f"0 m to at least {_MIN_RANGE:g} m and at most {_MAX_RANGE:g} m; export it again"
             )
         if not (0.05 <= self.offsets.ratio <= 2.0 and 0.0 <= self.offsets.deviation <= 10.0):
             raise ModelError(
                 f"{file}: its offset_ratio is {self.offsets.ratio:g} and its offset_deviation {self.offsets.deviation:g}, must be 0.05 to 2 "
-                "and 0 to 10 m; export it anew"
+                "and 0 to 10 m; export it again"
             )
         if camera_height is not None and not 0.01 <= camera_height <= 100.0:
-            raise ModelError(f"{file}: its {_CAMERA_HEIGHT} is {camera_height:g}, must be 0.01 to 100 m; export it anew")
+            raise ModelError(f"{file}: its {_CAMERA_HEIGHT} is {camera_height:g}, must be 0.01 to 100 m; export it again")
 
 
 def _is_fixed(shape: list[Any], dimensions: int) -> bool:

@@ -161,7 +161,7 @@ class PathPolicyNode(LifecycleNode):
         except RCLError:
             labels = {number: label for number, label, *_ in self._state_machine.transition_graph}
             label = request.transition.label or labels.get(request.transition.id, request.transition.id)
-            known = ", ".join(sorted({label for _, label, *_ in self._state_machine.available_transitions}))
+            known = ", ".join(sorted({label for _, label, *_ in self._state_machine.available_transitions})) or "none"
             self.get_logger().error(f"transition {quoted(label)} is not possible while path_policy is {state}; possible: {known}")
             response.success = False
             return response
