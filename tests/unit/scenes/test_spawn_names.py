@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import pytest
 
+from gibson_sim.cli.command_line import run
 from gibson_sim.scenes.spawning import SpawnError, load_spawnable
 from gibson_sim.types import Pose
 
 
-def test_the_nearest_name_comes_before_the_list_and_the_mistyped_one_only_once() -> None:
+def test_a_mistyped_name_gets_the_nearest_one_and_the_command_that_lists_all_in_a_message_that_is_never_cut() -> None:
     with pytest.raises(SpawnError) as error:
         load_spawnable("bottle_watr", "", name="x", pose=Pose())
-    begin = "is neither a file nor a built-in model; did you mean 'bottle_water'? there are: ackermann_bot, "
-    assert error.value.public.startswith(begin)
-    assert str(error.value).startswith(f"bottle_watr: {begin}")
+    text = "is neither a file nor a built-in model; did you mean 'bottle_water'? `gibson-sim spawn --list` lists all of them"
+    assert error.value.public == text
+    assert str(error.value) == f"bottle_watr: {text}"
+
+
+def test_spawn_lists_all_built_in_models(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(["spawn", "--list"])
+    assert ended.value.code == 0
+    listed = capsys.readouterr().out.split("\n")
+    assert {"person", "bottle_water", "gibson_bot"} <= set(listed)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from xml.etree.ElementTree import canonicalize
 
 import pytest
 
 from gibson_sim.description.shapes import Shape
-from gibson_sim.scenes.spawning import load_spawnable
+from gibson_sim.scenes.spawning import built_in_spawnables, load_spawnable
 from gibson_sim.trials.execution.walking import person_pose, person_urdf
 from gibson_sim.trials.records import Person
+from gibson_sim.trials.scenario_spec import PersonRule
 from gibson_sim.types import Pose
 
 ANNA = Person("anna", ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0)), 0.5, 0.25, 1.75)
@@ -30,6 +32,13 @@ def test_person_walks_to_and_fro(time: float, pose: tuple[float, float, float]) 
     x, y, yaw = person_pose(ANNA, time)
     assert (x, y) == pytest.approx(pose[:2])
     assert math.cos(yaw - pose[2]) == pytest.approx(1.0)
+
+
+def test_built_in_person_is_that_of_trials_at_its_default_size() -> None:
+    rule = PersonRule()
+    made = person_urdf(Person("person", (), rule.speed, rule.radius, rule.height))
+    file = built_in_spawnables()["person"] / "person.urdf"
+    assert canonicalize(made, strip_text=True) == canonicalize(from_file=file, strip_text=True)
 
 
 def test_person_without_a_way_stays() -> None:

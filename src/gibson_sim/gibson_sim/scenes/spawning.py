@@ -160,11 +160,12 @@ def _resolve(uri: str, roots: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]
 
 
 def _no_model(name: str) -> SceneNotFoundError:
-    """Returns the error for a name that is not a built-in model: the nearest one comes first, since the list of all may be cut off."""
-    known = list(built_in_spawnables())
-    near = nearest(name, known)
-    listed = f"there are: {', '.join(known)}"
-    return SceneNotFoundError(f"{name}: is neither a file nor a built-in model; {f'{near} ' if near else ''}{listed}")
+    """Returns the error for a name that is not a built-in model; it names the nearest one and the command that lists all of them."""
+    near = nearest(name, list(built_in_spawnables()))
+    hint = f"{near} " if near else ""
+    return SceneNotFoundError(
+        f"{name}: is neither a file nor a built-in model; {hint}`gibson-sim spawn --list` lists all of them"
+    )
 
 
 def _description(path: Path) -> Path:

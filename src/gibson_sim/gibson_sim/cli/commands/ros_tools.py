@@ -111,9 +111,20 @@ def _add_action(parser: Any) -> None:
     _finish(send, "action send_goal")
 
 
+class _ListModels(argparse.Action):
+    """Prints the names of all built-in models, and exits, as ``--help`` does."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from gibson_sim.scenes.spawnables import built_in_spawnables
+
+        print("\n".join(built_in_spawnables()))
+        parser.exit()
+
+
 def _add_verbs(subparsers: Any) -> None:
     spawn = subparsers.add_parser("spawn", help="spawn an object or a robot of the catalogue in the running simulation")
-    spawn.add_argument("uri", metavar="MODEL", help="name or URI, such as bottle_water; an unknown name lists similar ones")
+    spawn.add_argument("uri", metavar="MODEL", help="name or URI, such as bottle_water")
+    spawn.add_argument("--list", action=_ListModels, nargs=0, help="print the names of all built-in models, and exit")
     spawn.add_argument("--at", type=_place, required=True, metavar="X,Y[,YAW]", help=_PLACE)
     spawn.add_argument("--name", default="", help="name of the entity (default: that of the model)")
     _finish(spawn, "spawn")

@@ -38,7 +38,7 @@ def person_pose(person: Person, time: float) -> PlanarPose:
 
 
 def person_urdf(person: Person) -> str:
-    """Returns the URDF of a person: a static capsule that stands on its origin."""
+    """Returns the URDF of a person: a static capsule that stands on its origin; the built-in model ``person`` is the one of default size."""
     radius = person.radius
     height = max(person.height, 2.0 * radius)
     cylinder = max(height - 2.0 * radius, 1e-3)
