@@ -19,8 +19,8 @@ class Remaining:
         self._began_s = clock()
 
     def text(self, done: int, total: int) -> str:
-        """Returns the remaining time after ``done`` of ``total`` steps, such as ``, 5 min left``; empty before the first step."""
-        if done <= self._first:
+        """Returns the remaining time after ``done`` of ``total`` steps, such as ``, 5 min left``; empty before the first and after the last step."""
+        if not self._first < done < total:
             return ""
         left_s = (self._clock() - self._began_s) / (done - self._first) * (total - done)
         if left_s < 60.0:

@@ -83,7 +83,8 @@ def test_remaining_time_is_never_zero_and_has_a_unit_that_fits() -> None:
     now_s = 20.0  # 10 of the remaining 90 steps
     assert remaining.text(20, 100) == ", 3 min left"
     assert remaining.text(80, 100) == ", 6 s left"
-    assert remaining.text(100, 100) == ", 1 s left"
+    assert remaining.text(99, 100) == ", 1 s left"
+    assert remaining.text(100, 100) == ""
     assert remaining.text(20, 20010) == ", 11.1 h left"
 
 
