@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import os
 import signal
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -21,10 +23,11 @@ import rclpy  # noqa: E402
 from geometry_msgs.msg import Twist  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.time import Time  # noqa: E402
-from sensor_msgs.msg import CameraInfo, Image, Joy  # noqa: E402
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Joy  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
@@ -622,8 +625,40 @@ def test_yuv_without_colour_becomes_grey(encoding: str, pair: tuple[int, int]) -
 
 
 def test_yuv_of_an_odd_width_is_refused() -> None:
-    with pytest.raises(ViewError, match="an image of 3x1 pixels cannot have the encoding uyvy"):
+    with pytest.raises(ViewError, match="an image of 3x1 pixels is uyvy, which needs an even width; correct the camera's driver"):
         conversions.rgb_of_image(Image(height=1, width=3, encoding="uyvy", step=6, data=bytes(6)))
+
+
+def test_compressed_images_are_decoded_and_those_that_are_too_large_are_refused_before() -> None:
+    grey = np.full((48, 64, 3), 77, np.uint8)
+    for suffix in (".png", ".jpg"):
+        data = cv2.imencode(suffix, grey)[1].tobytes()
+        assert (conversions.rgb_of_compressed(CompressedImage(data=data)) == 77).all()
+        at = data.index(b"\xff\xc0") + 5 if suffix == ".jpg" else 18
+        huge = (
+            data[:at]
+            + bytes([0x75, 0x30] * 2 if suffix == ".jpg" else [0x75, 0x30, 0, 0, 0x75, 0x30])
+            + data[at + 4 + 2 * (at == 18) :]
+        )
+        with pytest.raises(
+            ViewError, match="a compressed image has 30000x30000 pixels, must have 1 to 33554432; make the camera's"
+        ):
+            conversions.rgb_of_compressed(CompressedImage(data=huge))
+        with pytest.raises(ViewError, match=r"of 12 bytes, format 'x', is neither JPEG nor PNG"):
+            conversions.rgb_of_compressed(CompressedImage(data=data[:12], format="x"))
+    with pytest.raises(ViewError, match="is neither JPEG nor PNG"):
+        conversions.rgb_of_compressed(CompressedImage(data=cv2.imencode(".bmp", grey)[1].tobytes()))
+
+
+def test_the_yaw_of_a_quaternion_does_not_depend_on_its_norm() -> None:
+    msg = Odometry()
+    orientation = msg.pose.pose.orientation
+    orientation.z = orientation.w = 2.0 * math.sqrt(0.5)
+    assert conversions.pose_from(msg) == pytest.approx((0.0, 0.0, math.pi / 2.0))
+    orientation.z = orientation.w = 0.0
+    assert conversions.pose_from(msg) is None, "a driver did not set it"
+    orientation.w = math.nan
+    assert conversions.pose_from(msg) is None
 
 
 def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_is_used(

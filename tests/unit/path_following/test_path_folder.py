@@ -80,7 +80,16 @@ def _cut_image(folder: Path) -> None:
             lambda folder: (folder / "path.yaml").unlink(),
             r"path\.yaml: No such file or directory; give a folder that was recorded",
         ),
-        (_edit("path.yaml", "format: 1", "format: 2"), r"path\.yaml: format is 2, this version reads 1"),
+        (
+            _edit("path.yaml", "format: 1", "format: 2"),
+            r"path\.yaml: format is 2, this version reads 1; update gibson_path_following",
+        ),
+        (_edit("path.yaml", "format: 1", "format: true"), r"path\.yaml: format is True, must be 1; record the path again"),
+        (_edit("path.yaml", "format: 1", "format: 1.0"), r"path\.yaml: format is 1\.0, must be 1; record the path again"),
+        (
+            _edit("path.yaml", "format: 1", "format: !!timestamp foo"),
+            r"path\.yaml is not YAML .*: aliases and tags are not allowed",
+        ),
         (_edit("path.yaml", "hfov_deg: 100.0", "hfov_deg: 400"), r"path\.yaml: hfov_deg is 400, must be a number from 1 to 179"),
         (_edit("path.yaml", "hfov_deg: 100.0", "hfov_deg: .nan"), r"path\.yaml: hfov_deg is nan, must be a number from 1 to 179"),
         (_edit("path.yaml", "camera: pinhole", "camera: [a]"), r"path\.yaml: camera is \['a'\], must be one of pinhole, fisheye"),
@@ -88,15 +97,26 @@ def _cut_image(folder: Path) -> None:
         (_edit("path.yaml", "width: 96", ""), r"path\.yaml: width is missing; needed: format"),
         (_edit("path.yaml", "nodes: 3", "nodes: 4"), r"nodes\.csv has 3 nodes, but path\.yaml says 4"),
         (_edit("path.yaml", "nodes: 3", "nodes: 20000"), r"nodes\.csv has 3 nodes, but path\.yaml says 20000"),
-        (_edit("path.yaml", "format: 1", "format: &a [*a]"), r"path\.yaml is not YAML that can be read: aliases are not allowed"),
+        (
+            _edit("path.yaml", "format: 1", "format: &a [*a]"),
+            r"path\.yaml is not YAML that can be read: aliases and tags are not",
+        ),
         (_edit("path.yaml", "width: 96", "width: 48"), r"front\.png has 96x64 pixels, but path\.yaml says 48x64"),
         (_edit("nodes.csv", "node,stamp_ns", "id,stamp_ns"), r"nodes\.csv: its first line must be node,stamp_ns"),
         (_edit("nodes.csv", "1,500000000", "2,500000000"), r"nodes\.csv, line 3: node is '2', must be 1"),
-        (_edit("nodes.csv", "1,500000000,0.2", "1,500000000,inf"), r"nodes\.csv, line 3: distance_m is 'inf', must be a finite"),
+        (
+            _edit("nodes.csv", "1,500000000,0.2", "1,500000000,inf"),
+            r"nodes\.csv, line 3: distance_m is 'inf', must be a number of",
+        ),
+        (
+            _edit("nodes.csv", "1,500000000,0.2", "1,500000000,1e308"),
+            r"line 3: distance_m is '1e308', must be a number of at most 1e\+08",
+        ),
+        (lambda folder: (folder / "nodes.csv").write_bytes(b"\xff\xfe\x00"), r"nodes\.csv is not a CSV file in UTF-8: "),
         (_edit("nodes.csv", "1,500000000", "1,0"), r"nodes\.csv, line 3: stamp_ns must grow"),
         (_edit("velocities.csv", "1,0,0.4", "9,0,0.4"), r"velocities\.csv, line 3: node is 9, must be 0 to 2"),
         (_edit("velocities.csv", "1,0,0.4", "1,0"), r"velocities\.csv, line 3: 3 values, must be 4"),
-        (lambda folder: (folder / "images/000002_front.png").write_bytes(b"GIF89a"), r"000002_front\.png is no PNG image"),
+        (lambda folder: (folder / "images/000002_front.png").write_bytes(b"GIF89a"), r"000002_front\.png is not a PNG image"),
         (_cut_image, r"000001_front\.png is a broken PNG image"),
     ],
 )
@@ -106,6 +126,14 @@ def test_a_broken_folder_is_refused_in_one_line(tmp_path: Path, spoil: Callable[
     with pytest.raises(PathFolderError, match=words) as caught:
         load_path(tmp_path / "a")
     assert "\n" not in str(caught.value)
+
+
+def test_a_byte_order_mark_and_a_blank_last_line_do_no_harm(tmp_path: Path) -> None:
+    save_path(straight_path(3), tmp_path / "a")
+    for name in ("nodes.csv", "velocities.csv"):
+        file = tmp_path / "a" / name
+        file.write_text(file.read_text() + "\r\n\n", encoding="utf-8-sig")
+    assert len(load_path(tmp_path / "a").nodes) == 3
 
 
 def test_a_path_must_have_nodes_that_belong_together() -> None:

@@ -26,6 +26,7 @@ import numpy as np
 import yaml
 
 from gibson_path_following.errors import PathFolderError, quoted
+from gibson_path_following.image_header import image_size
 from gibson_path_following.types import IMAGES_OF, CameraKind, Image, PathNode, RecordedPath, Velocity
 
 FORMAT = 1
@@ -40,6 +41,8 @@ MAX_PIXELS = 2**30
 _MAX_TEXT_BYTES = 16 * 2**20
 _MAX_IMAGE_BYTES = 64 * 2**20
 _MAX_VELOCITIES = 1_000_000
+_MAX_VALUE = 1e8
+"""Largest distance, coordinate, yaw or velocity, metres and radians."""
 _KEYS = ("format", "camera", "hfov_deg", "spacing_m", "nodes", "width", "height")
 _NODE_COLUMNS = ("node", "stamp_ns", "distance_m", "x_m", "y_m", "yaw_rad")
 _VELOCITY_COLUMNS = ("node", "after_ns", "linear_mps", "angular_radps")
@@ -195,8 +198,8 @@ def _write_rows(path: Path, columns: Sequence[str], rows: Sequence[Sequence[obje
 def _read_settings(path: Path) -> dict[str, Any]:
     text = _read(path, 4096)
     try:
-        if b"&" in text or b"*" in text:
-            raise ValueError("aliases are not allowed")
+        if any(mark in text for mark in (b"&", b"*", b"!")):
+            raise ValueError("aliases and tags are not allowed")
         found = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise PathFolderError(f"{path} is not YAML that can be read: {_reason(error)}") from error
@@ -208,8 +211,11 @@ def _read_settings(path: Path) -> dict[str, Any]:
     for key in _KEYS:
         if key not in found:
             raise PathFolderError(f"{path}: {key} is missing; needed: {', '.join(_KEYS)}")
-    if found["format"] != FORMAT:
-        raise PathFolderError(f"{path}: format is {quoted(found['format'])}, this version reads {FORMAT}; record the path again")
+    version = found["format"]
+    if type(version) is not int or version < 1:  # 1.0 and true equal 1
+        raise PathFolderError(f"{path}: format is {quoted(version)}, must be {FORMAT}; record the path again")
+    if version > FORMAT:
+        raise PathFolderError(f"{path}: format is {version}, this version reads {FORMAT}; update gibson_path_following")
     if not isinstance(found["camera"], str) or found["camera"] not in IMAGES_OF:
         raise PathFolderError(f"{path}: camera is {quoted(found['camera'])}, must be one of {', '.join(IMAGES_OF)}")
     widest = 179.0 if found["camera"] == "pinhole" else 360.0
@@ -245,10 +251,11 @@ def _read_velocities(path: Path, nodes: int) -> list[list[tuple[int, Velocity]]]
 
 def _read_rows(path: Path, columns: Sequence[str], most: int) -> list[list[str]]:
     try:
-        text = _read(path, _MAX_TEXT_BYTES).decode("utf-8")
+        # Spreadsheets write a byte order mark, and editors a blank line at the end.
+        text = _read(path, _MAX_TEXT_BYTES).decode("utf-8-sig").rstrip()
         rows = list(csv.reader(io.StringIO(text, newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise PathFolderError(f"{path} is no CSV file: {_reason(error)}") from error
+        raise PathFolderError(f"{path} is not a CSV file in UTF-8: {_reason(error)}; record the path again") from error
     if not rows or rows[0] != list(columns):
         raise PathFolderError(f"{path}: its first line must be {','.join(columns)}")
     if len(rows) - 1 > most:
@@ -261,10 +268,9 @@ def _read_rows(path: Path, columns: Sequence[str], most: int) -> list[list[str]]
 
 def _read_image(path: Path, size: tuple[int, int]) -> Image:
     data = _read(path, _MAX_IMAGE_BYTES)
-    # The size stands in the first chunk: it is checked before an image of strangers is unpacked.
-    if data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR" or len(data) < 33:
-        raise PathFolderError(f"{path} is no PNG image; record the path again")
-    found = (int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big"))
+    found = image_size(data) if data.startswith(b"\x89PNG") else None
+    if found is None:
+        raise PathFolderError(f"{path} is not a PNG image; record the path again")
     if found != size:
         raise PathFolderError(f"{path} has {found[0]}x{found[1]} pixels, but {SETTINGS_FILE} says {size[0]}x{size[1]}")
     try:
@@ -306,8 +312,8 @@ def _number(where: str, key: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
-        raise PathFolderError(f"{where}: {key} is {quoted(text)}, must be a finite number")
+    if not abs(value) <= _MAX_VALUE:
+        raise PathFolderError(f"{where}: {key} is {quoted(text)}, must be a number of at most {_MAX_VALUE:g}")
     return value
 
 

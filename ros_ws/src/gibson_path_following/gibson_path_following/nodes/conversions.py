@@ -12,6 +12,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 
 from gibson_path_following.cameras import Calibration
 from gibson_path_following.errors import ViewError, quoted
+from gibson_path_following.image_header import image_size
 from gibson_path_following.types import Image, Velocity
 
 NS_PER_S = 1_000_000_000
@@ -27,6 +28,10 @@ _TO_RGB = {
     "yuyv": (2, cv2.COLOR_YUV2RGB_YUYV), "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUYV),
 }  # fmt: skip
 """Encoding -> bytes of a pixel, and how OpenCV makes RGB of it."""
+_PAIRS = ("uyvy", "yuv422", "yuyv", "yuv422_yuy2")
+"""Encodings that code two neighbouring pixels together."""
+_MIN_NORM = 0.1
+"""Norm of a quaternion below which it is no rotation: that of a driver that does not set it is 0."""
 
 
 def stamp_ns(stamp: Any) -> int:
@@ -56,6 +61,10 @@ def rgb_of_image(msg: Any) -> Image:
             f"an image of {width}x{height} {msg.encoding} pixels has {len(msg.data)} bytes in rows of {step}, must have {height} rows of "
             f"{width * size} or more, and 1 to {MAX_PIXELS} pixels; correct the camera's driver"
         )
+    if width % 2 and msg.encoding in _PAIRS:
+        raise ViewError(
+            f"an image of {width}x{height} pixels is {msg.encoding}, which needs an even width; correct the camera's driver"
+        )
     rows = np.frombuffer(msg.data, dtype=np.uint8, count=step * height).reshape(height, step)
     pixels = rows[:, : width * size].reshape(height, width, size)
     if code is None:
@@ -70,14 +79,23 @@ def rgb_of_compressed(msg: Any) -> Image:
     """Returns the pixels of a ``sensor_msgs/CompressedImage``, (H, W, 3) RGB.
 
     Raises:
-        ViewError: it cannot be decoded.
+        ViewError: it is neither JPEG nor PNG, is too large, or cannot be decoded.
     """
+    data = bytes(msg.data)
+    # A small file may decode to gigabytes.
+    size = image_size(data)
+    if size is None:
+        raise ViewError(f"a compressed image of {len(data)} bytes, format {quoted(msg.format)}, is neither JPEG nor PNG")
+    if not 0 < size[0] * size[1] <= MAX_PIXELS:
+        raise ViewError(
+            f"a compressed image has {size[0]}x{size[1]} pixels, must have 1 to {MAX_PIXELS}; make the camera's images smaller"
+        )
     try:
-        bgr = cv2.imdecode(np.frombuffer(msg.data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        bgr = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
         bgr = None
     if bgr is None:
-        raise ViewError(f"a compressed image of {len(msg.data)} bytes, format {quoted(msg.format)}, cannot be decoded")
+        raise ViewError(f"a compressed image of {len(data)} bytes, format {quoted(msg.format)}, cannot be decoded")
     return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
 
 
@@ -96,11 +114,13 @@ def calibration_from(msg: Any) -> Calibration | None:
 
 
 def pose_from(msg: Any) -> tuple[float, float, float] | None:
-    """Returns x, y and yaw of a ``nav_msgs/Odometry``, metres and radians; None if they are not finite."""
+    """Returns x, y and yaw of a ``nav_msgs/Odometry``, metres and radians; None if they are not finite, or there is no rotation."""
     p, q = msg.pose.pose.position, msg.pose.pose.orientation
-    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    found = (float(p.x), float(p.y), yaw)
-    return found if all(map(math.isfinite, found)) else None
+    if not (math.isfinite(p.x) and math.isfinite(p.y) and _MIN_NORM <= math.hypot(q.x, q.y, q.z, q.w) < math.inf):
+        return None
+    # Of a quaternion of any norm.
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+    return float(p.x), float(p.y), yaw
 
 
 def velocity_from(msg: Any) -> Velocity | None:

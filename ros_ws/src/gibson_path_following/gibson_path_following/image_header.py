@@ -1,0 +1,36 @@
+"""Reads the size of a PNG or JPEG image from its header, so that an image that is too large is refused before it is decoded."""
+
+from __future__ import annotations
+
+import struct
+
+_MAX_SEGMENTS = 10_000
+"""Maximum number of JPEG segments before the one with the size; each fill byte counts as one."""
+_JPEG_SIZES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
+"""Markers of the segments with the size (SOF)."""
+
+
+def image_size(data: bytes) -> tuple[int, int] | None:
+    """Returns width and height of a PNG or JPEG image, pixels; None for other or truncated data."""
+    if data[:8] == b"\x89PNG\r\n\x1a\n" and data[12:16] == b"IHDR" and len(data) >= 33:
+        width, height = struct.unpack_from(">II", data, 16)
+        return width, height
+    return _jpeg_size(data) if data[:2] == b"\xff\xd8" else None
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    at = 2
+    for _ in range(_MAX_SEGMENTS):
+        if at + 9 > len(data) or data[at] != 0xFF:
+            return None
+        marker = data[at + 1]
+        if marker in _JPEG_SIZES:
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return width, height
+        if marker == 0xFF:  # fill byte
+            at += 1
+        elif marker == 0x01 or 0xD0 <= marker <= 0xD8:  # no length follows
+            at += 2
+        else:
+            at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return None
