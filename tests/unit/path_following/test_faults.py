@@ -51,6 +51,13 @@ def test_what_was_late_is_forgotten_when_time_goes_back() -> None:
     assert faults.add(2 * TICK, "later") == [("after", False)]
 
 
+def test_images_whose_stamp_stands_still_are_not_kept_for_ever() -> None:
+    faults: CameraFaults[str] = CameraFaults(FaultSettings(delay=0.2))
+    for k in range(5):
+        assert faults.add(0, f"image {k}") == []
+    assert faults.add(2 * TICK, "later") == [("image 4", False)]
+
+
 @pytest.mark.parametrize("values", [{"drop": 1.5}, {"delay": -1.0}, {"cover": float("nan")}])
 def test_faults_that_cannot_be_are_refused(values: dict[str, float]) -> None:
     with pytest.raises(SettingError, match="must be 0 to"):

@@ -83,7 +83,7 @@ def test_a_reference_survives_its_file_and_that_of_a_path_is_of_its_images(tmp_p
 @pytest.mark.filterwarnings("ignore:loadtxt")
 def test_a_file_without_a_reference_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     (tmp_path / "look.csv").write_text(text)
-    with pytest.raises(ModelError, match=r"look\.csv.*install the package anew") as caught:
+    with pytest.raises(ModelError, match=r"look\.csv.*install the package again") as caught:
         ColourReference.load(tmp_path / "look.csv")
     assert "\n" not in str(caught.value)
 

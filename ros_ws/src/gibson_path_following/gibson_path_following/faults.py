@@ -52,6 +52,8 @@ class CameraFaults(Generic[_Image]):
         if self._held and stamp_ns < self._held[-1][0]:  # time has gone back: a reset
             self._held.clear()
             self._moved_ns = None
+        elif self._held and stamp_ns == self._held[-1][0]:  # a stamp that stands still: the newest image counts
+            self._held.pop()
         self._to_drop += self._settings.drop
         if self._to_drop >= 1.0 - 1e-9:
             self._to_drop -= 1.0

@@ -84,10 +84,10 @@ class ColourReference:
         try:
             levels = np.loadtxt(file, delimiter=",", dtype=np.float64, ndmin=2)
         except (OSError, ValueError) as error:
-            raise ModelError(f"cannot read {file}: {quoted(str(error))}; install the package anew") from error
+            raise ModelError(f"cannot read {file}: {quoted(str(error))}; install the package again") from error
         if levels.shape != (_STEPS, 3) or not ((levels >= 0.0) & (levels <= 255.0)).all():
             raise ModelError(
-                f"{file} has {levels.shape} numbers, must be {_STEPS} lines of three, 0 to 255; install the package anew"
+                f"{file} has {levels.shape} numbers, must be {_STEPS} lines of three, 0 to 255; install the package again"
             )
         return cls(levels)
 

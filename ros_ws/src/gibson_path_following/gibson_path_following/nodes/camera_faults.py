@@ -11,10 +11,13 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from gibson_path_following.faults import CameraFaults, FaultSettings
 from gibson_path_following.nodes import conversions
+from gibson_path_following.nodes.image_watch import ImageWatch
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import FaultOptions
 from gibson_path_following.types import STOP
+
+_TOPIC = "camera/image_raw"
 
 
 class CameraFaultsNode(Node):
@@ -41,10 +44,11 @@ class CameraFaultsNode(Node):
         self.exit_code: int | None = None
         self._faults: CameraFaults[Any] = CameraFaults(FaultSettings(o.cover_after, o.cover, o.drop, o.delay))
         self._was_covered = False
+        self._watch = ImageWatch(self, [_TOPIC], f"the remapping of {_TOPIC}")
         self._images = self.create_publisher(Image, "faulty/image_raw", qos_profile_sensor_data)
         self._infos = self.create_publisher(CameraInfo, "faulty/camera_info", qos_profile_sensor_data)
         self.create_subscription(CameraInfo, "camera/camera_info", self._infos.publish, qos_profile_sensor_data)
-        self.create_subscription(Image, "camera/image_raw", self._on_image, qos_profile_sensor_data)
+        self.create_subscription(Image, _TOPIC, self._on_image, qos_profile_sensor_data)
         self.create_subscription(TwistStamped if o.stamped else Twist, "cmd_vel", self._on_command, 10)
 
     def _on_command(self, msg: Any) -> None:
@@ -52,7 +56,9 @@ class CameraFaultsNode(Node):
             self._faults.move(self.get_clock().now().nanoseconds)
 
     def _on_image(self, msg: Any) -> None:
-        for image, is_covered in self._faults.add(conversions.stamp_ns(msg.header.stamp), msg):
+        stamp_ns = conversions.stamp_ns(msg.header.stamp)
+        self._watch.note(_TOPIC, stamp_ns)
+        for image, is_covered in self._faults.add(stamp_ns, msg):
             if is_covered != self._was_covered:
                 self._was_covered = is_covered
                 self.get_logger().info("the lens is covered" if is_covered else "the lens is free again")
@@ -61,7 +67,8 @@ class CameraFaultsNode(Node):
             self._images.publish(image)
 
     def stop(self) -> None:
-        """Nothing has to be ended in order."""
+        """Ends the warnings."""
+        self._watch.close()
 
 
 def main(args: list[str] | None = None) -> None:

@@ -11,6 +11,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from gibson_path_following.errors import PathFollowingError
 from gibson_path_following.goggles import load_reference, make_goggles
 from gibson_path_following.nodes import conversions
+from gibson_path_following.nodes.image_watch import ImageWatch
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import GogglesOptions
@@ -50,9 +51,11 @@ class GogglesNode(Node):
         beside = o.image_topic.removesuffix("/compressed").rpartition("/")[0]
         info = f"{beside}/camera_info" if beside else "camera_info"
         self.create_subscription(CameraInfo, info, self._infos.publish, qos_profile_sensor_data)
+        self._watch = ImageWatch(self, [o.image_topic], "parameter image_topic")
         self.create_subscription(CompressedImage if self._is_compressed else Image, o.image_topic, self._on_image, _NEWEST)
 
     def _on_image(self, msg: Any) -> None:
+        self._watch.note(self._topic, conversions.stamp_ns(msg.header.stamp))
         try:
             rgb = conversions.rgb_of_compressed(msg) if self._is_compressed else conversions.rgb_of_image(msg)
             adapted = self._goggles(rgb)
@@ -65,7 +68,8 @@ class GogglesNode(Node):
         self._images.publish(out)
 
     def stop(self) -> None:
-        """Nothing has to be ended in order."""
+        """Ends the warnings."""
+        self._watch.close()
 
 
 def main(args: list[str] | None = None) -> None:
