@@ -112,10 +112,11 @@ class BagPlayer(Node):
                 reached_s = self._play(keys, advance)
                 if not options.loop:
                     break
+        took_s = time.monotonic() - start
         if is_running():
             self._wait_until_acknowledged()
             late = f"; the last one {self._late_s:.1f} s late, since this machine is too slow" if self._late_s > _LATE_S else ""
-            _say(f"played {self._played} messages in {time.monotonic() - start:.1f} s{late}")
+            _say(f"played {self._played} messages in {took_s:.1f} s{late}")
             return 0
         _say(f"stopped at {reached_s:.1f} s of {self._span.seconds:.1f} s: played {self._played} messages")
         return 0 if options.loop else interrupts.INTERRUPTED
