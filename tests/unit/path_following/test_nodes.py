@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import math
 import os
 import signal
@@ -31,7 +32,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Joy  # noqa: E40
 from std_msgs.msg import Bool, String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from gibson_path_following.errors import ModelError, PathFolderError, SettingError, ViewError  # noqa: E402
+from gibson_path_following.errors import ModelError, PathFolderError, PathFollowingError, SettingError, ViewError  # noqa: E402
 from gibson_path_following.nodes import camera_input, conversions  # noqa: E402
 from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
 from gibson_path_following.nodes.image_watch import ImageWatch  # noqa: E402
@@ -560,10 +561,6 @@ def test_descriptions_and_ranges_are_declared(context: Any, folder: Path) -> Non
 
 
 def test_the_evaluator_judges_from_the_first_move_to_a_second_after_the_end(context: Any, folder: Path, tmp_path: Path) -> None:
-    import json
-
-    from nav_msgs.msg import Odometry
-
     file = tmp_path / "result.json"
     node = PathEvaluatorNode(
         context=context, parameter_overrides=[Parameter("path", value=str(folder)), Parameter("file", value=str(file))]
@@ -597,7 +594,45 @@ def test_the_evaluator_judges_from_the_first_move_to_a_second_after_the_end(cont
     node.destroy_node()
 
 
-@pytest.mark.parametrize("name", ["std_msgs/msg/Nothing", "nothing_msgs/msg/Bool", "Bool", "geometry_msgs/msg/Twist"])
+def test_the_evaluator_starts_over_at_a_reset_and_says_when_there_was_no_drive(
+    context: Any, folder: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "result.json"
+    overrides = [Parameter("path", value=str(folder)), Parameter("file", value=str(file))]
+    node = PathEvaluatorNode(context=context, parameter_overrides=overrides)
+    lines: list[str] = []
+    node.get_logger().warning = lambda text, **_: lines.append(text)
+    with pytest.raises(
+        PathFollowingError, match=r"no drive was evaluated, .*result\.json is not written: path/state was never following"
+    ):
+        node.stop()
+    node._on_state(String(data="following"))
+    with pytest.raises(PathFollowingError, match=r"is not written: no pose came from ground_truth/odom"):
+        node.stop()
+    for seconds, x in [(10.0, 0.0), (11.0, 3.0), (0.0, 0.0), (1.0, 0.4), (2.0, 0.8)]:
+        msg = Odometry()
+        msg.header.stamp = conversions.time_msg(round(seconds * NS))
+        msg.pose.pose.position.x, msg.pose.pose.orientation.w = x, 1.0
+        node._on_truth(msg)
+    assert lines == ["stamps have gone back: evaluating anew; the drive before is dropped"]
+    node.stop()
+    result = json.loads(file.read_text())
+    assert result["travelled"] == pytest.approx(0.8) and result["states"] == [[0.0, "following"]]
+    node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "std_msgs/msg/Nothing",
+        "nothing_msgs/msg/Bool",
+        "Bool",
+        "",
+        "std_msgs/msg/__name__",
+        "geometry_msgs/msg/Twist",
+        "std_msgs/msg/String",
+    ],
+)
 def test_a_collision_type_that_tells_nothing_is_refused(context: Any, folder: Path, name: str) -> None:
     overrides = [Parameter("path", value=str(folder)), Parameter("collision_type", value=name)]
     with pytest.raises(SettingError, match="collision_type is"):

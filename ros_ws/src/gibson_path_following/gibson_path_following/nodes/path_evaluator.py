@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,9 @@ from gibson_path_following.options import EvaluatorOptions
 from gibson_path_following.path_folder import load_path
 
 _QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+_BACK_NS = 1_000_000_000
+"""Step backwards of the stamps from which on time has jumped, ns: a reset of the simulation."""
+_MESSAGE_TYPE = re.compile(r"[a-z]\w*/msg/[A-Z]\w*", re.ASCII)
 _REST_NS = 1_000_000_000
 """Time after the end of the path for which the trace goes on, ns."""
 
@@ -32,7 +36,7 @@ class PathEvaluatorNode(Node):
     """Evaluates a drive along a path by ground truth, in simulation.
 
     The drive begins with the first ``path/state`` that is ``following``, and ends a second after it is ``finished``, at the time limit, at
-    a call, or with the node. The results are then written as JSON.
+    a call, or with the node. The results are then written as JSON. If stamps go back, as at a reset, it starts over.
 
     Parameters: the fields of ``gibson_path_following.options.EvaluatorOptions``.
 
@@ -63,6 +67,8 @@ class PathEvaluatorNode(Node):
         self._count: int | None = None
         self._ended_ns: int | None = None
         self._is_driving = self._is_written = False
+        self._truth_ns: int | None = None
+        """Stamp of the newest pose, ns."""
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         if o.collision_topic:
             self.create_subscription(_message_type(o.collision_type), o.collision_topic, self._on_collision, _QOS)
@@ -91,6 +97,9 @@ class PathEvaluatorNode(Node):
 
     def _on_truth(self, msg: Any) -> None:
         pose, stamp_ns = conversions.pose_from(msg), conversions.stamp_ns(msg.header.stamp)
+        if self._truth_ns is not None and stamp_ns < self._truth_ns - _BACK_NS:
+            self._start_over()
+        self._truth_ns = stamp_ns
         if not self._is_driving or self._is_written or pose is None or (self._trace and stamp_ns <= self._trace[-1].stamp_ns):
             return
         self._trace.append(TracePoint(stamp_ns, *pose, in_collision=self._touched))
@@ -104,6 +113,14 @@ class PathEvaluatorNode(Node):
                 self.get_logger().error(str(error))
             if self._options.exit_at_end:
                 self.exit_code = 0 if self._is_written else 1
+
+    def _start_over(self) -> None:
+        dropped = "; the drive before is dropped" if self._trace and not self._is_written else ""
+        self.get_logger().warning(f"stamps have gone back: evaluating anew{dropped}")
+        # The policy may drive on without a change of its state.
+        self._states = [(0.0, "following")] if self._states and self._states[-1][1] == "following" else []
+        self._trace, self._ended_ns, self._is_written = [], None, False
+        self._is_driving, self._touched = bool(self._states), self._touching
 
     def _on_finish(self, request: Any, response: Any) -> Any:
         try:
@@ -119,7 +136,10 @@ class PathEvaluatorNode(Node):
             PathFollowingError: no drive has begun, or the file cannot be written.
         """
         if not self._trace:
-            raise SettingError("there is no drive to judge: path/state was never `following`, or ground_truth/odom is missing")
+            missing = (
+                "no pose came from ground_truth/odom" if self._is_driving else "path/state was never following; start path_policy"
+            )
+            raise PathFollowingError(f"no drive was evaluated, {self._options.file} is not written: {missing}")
         outcome = evaluate(self._nodes, self._trace, self._settings)
         result = {
             "path": self._options.path, "nodes": len(self._nodes), **asdict(outcome), "arrival_radius": self._options.arrival_radius,
@@ -144,9 +164,9 @@ class PathEvaluatorNode(Node):
         """Writes the results of a drive that has not ended.
 
         Raises:
-            PathFollowingError: they cannot be written.
+            PathFollowingError: there was no drive, or they cannot be written.
         """
-        if self._trace and not self._is_written:
+        if not self._is_written:
             print(self._write(), flush=True)
 
 
@@ -156,17 +176,20 @@ def _message_type(name: str) -> Any:
     Raises:
         SettingError: there is none, or it has no field for collisions.
     """
+    if not _MESSAGE_TYPE.fullmatch(name):
+        raise SettingError(f"parameter collision_type is {quoted(name)}, must be PACKAGE/msg/NAME, such as std_msgs/msg/Bool")
     package, _, kind = name.partition("/msg/")
     try:
         found = getattr(importlib.import_module(f"{package}.msg"), kind)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError) as error:
         raise SettingError(
-            f"parameter collision_type is {quoted(name)}, which is no message type that is installed; give one such as std_msgs/msg/Bool"
+            f"parameter collision_type is {quoted(name)}, a message type that is not installed; give one such as std_msgs/msg/Bool"
         ) from error
-    names = set(found.get_fields_and_field_types())
-    if "data" not in names and not {"count", "ongoing"} <= names:
+    types = found.get_fields_and_field_types()
+    if types.get("data") != "boolean" and not {"count", "ongoing"} <= set(types):
         raise SettingError(
-            f"parameter collision_type is {quoted(name)}, which has neither `data` nor `count` and `ongoing`; give one such as std_msgs/msg/Bool"
+            f"parameter collision_type is {quoted(name)}, which has neither a bool `data` nor `count` and `ongoing`; give one such as "
+            "std_msgs/msg/Bool"
         )
     return found
 
