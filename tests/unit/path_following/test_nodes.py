@@ -507,6 +507,11 @@ def test_help_says_what_a_node_does_and_lists_topics_and_parameters(name: str, c
             "error: argument 'kitchen' is unknown; parameters are given as --ros-args -p NAME:=VALUE; --help lists them\n",
         ),
         (["--ros-args", "--folder", "kitchen"], "error: ROS cannot start: unknown ROS arguments: ['--folder', 'kitchen']\n"),
+        (["--ros-args", "-p", "path:=\udcff"], "error: argument 'path:=\\udcff' is not UTF-8\n"),
+        (
+            ["--ros-args", "-p", "use_sim_time:=5"],
+            "error: Trying to set parameter 'use_sim_time' to '5' of type 'INTEGER', expecting type 'BOOL': use_sim_time\n",
+        ),
     ],
 )
 @pytest.mark.usefixtures("ros_domain", "handlers")

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -35,6 +36,10 @@ def run_node(kind: type[Any], options: type[Options], args: list[str] | None = N
     # Python sets no handler of SIGINT in a process that a shell script started in the background.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
+    # Python has surrogates for bytes that are not UTF-8; rclpy cannot encode them.
+    if unreadable := [arg for arg in args if any("\ud800" <= character <= "\udfff" for character in arg)]:
+        print(f"error: argument {quoted(unreadable[0])} is not UTF-8", file=sys.stderr)
+        sys.exit(1)
     try:
         # No signal handlers of rclpy: the context must stay valid until the node has stopped the robot, or has written its files.
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -59,7 +64,7 @@ def run_node(kind: type[Any], options: type[Options], args: list[str] | None = N
     except RCLError:
         if rclpy.ok():
             raise
-    except PathFollowingError as error:
+    except (PathFollowingError, InvalidParameterTypeException) as error:  # the latter of a parameter of ROS: use_sim_time
         print(f"error: {error}", file=sys.stderr)
         code = 1
     finally:
