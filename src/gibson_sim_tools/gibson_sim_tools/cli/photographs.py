@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,9 +19,19 @@ from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
+from gibson_sim_tools.cli.scan import add_camera_options, camera_overrides
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
+from gibson_sim_tools.scanning.settings import AS_READ, AUTO, CAMERA_CONVENTIONS
+from gibson_sim_tools.texturing.settings import POSE_CONVENTIONS
 
-PHOTOGRAPH_OPTIONS = ("mesh", "fuse", *(f.name for f in fields(PhotographSettings)))
+PHOTOGRAPH_OPTIONS = (
+    "mesh",
+    "fuse",
+    "pose_convention",
+    "intrinsics",
+    "depth_scale",
+    *(f.name for f in fields(PhotographSettings)),
+)
 """Names of the options that only imports from photographs have."""
 _INDENT = "    "
 
@@ -35,6 +46,14 @@ def add_photograph_options(parser: argparse.ArgumentParser) -> None:
         help="texture this mesh (default: the one in the folder, else one is fused from depth)",
     )
     group.add_argument("--fuse", action="store_true", help="fuse a mesh from depth, even if the folder contains one")
+    group.add_argument(
+        "--pose-convention",
+        choices=(AS_READ, AUTO, *POSE_CONVENTIONS),
+        default=None,
+        help="convention of the poses: as-read = that of the layout; auto = the one for which depth images, or photographs on the mesh, agree; "
+        f"or a name (default: {AUTO})",
+    )
+    add_camera_options(group)
     add_settings(group, PhotographSettings, [f.name for f in fields(PhotographSettings)])
 
 
@@ -56,7 +75,14 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
         # The job locks the output folder before anything is written into it.
         with StagedJob(output, source).locked(), progress_bar(f"unpacking {folder.name}"):
             folder = unpack_photographs(folder, output / INTERMEDIATES / "photographs")
-    inputs = find_inputs(folder, args.mesh, fuse=args.fuse, longest_side=settings.longest_side, excluded=output)
+    inputs = find_inputs(
+        folder, args.mesh, fuse=args.fuse, longest_side=settings.longest_side, excluded=output, **camera_overrides(args)
+    )
+    convention = args.pose_convention or AUTO
+    if inputs.mesh is None and convention not in (AS_READ, AUTO, *CAMERA_CONVENTIONS):
+        raise ConfigError(
+            f"--pose-convention {convention}: is for photographs with a mesh; without one, give {AS_READ}, {AUTO}, {', '.join(CAMERA_CONVENTIONS)}"
+        )
     if settings.hold_out_depth and inputs.mesh is not None:
         raise ConfigError(
             f"--hold-out-depth needs a mesh that is fused from depth, but the mesh is {quoted(str(inputs.mesh))}; leave it out, or give --fuse"
@@ -64,7 +90,7 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
     if scale is not None and any(item.depth is not None for item in inputs.photographs.items):
         raise ConfigError("--unit is for photographs without depth: depth images define the scale; leave it out")
     up = None if args.up_axis is None else direction(args.up_axis, "--up-axis")
-    job = PhotographImport(inputs, output, settings, args.name or output.resolve().name, up, scale, source)
+    job = PhotographImport(inputs, output, settings, args.name or output.resolve().name, up, scale, convention, source)
     for warning in dict.fromkeys((*inputs.photographs.warnings, *(inputs.rgbd.warnings if inputs.rgbd is not None else ()))):
         print(f"warning: {args.source}: {warning}", file=sys.stderr)
     print(f"{args.source}: " + f"\n{_INDENT}".join(inputs.lines()))
@@ -73,7 +99,7 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
         job.run(stage_progress, on_result)
     if settings.hold_out:
         print(f"photographs and re-rendered scene: {output / SHEET}")
-    print(f"next: gibson-sim run --scene {output}")
+    print(f"next: gibson-sim run --scene {shlex.quote(str(output))}")
     return ExitCode.OK
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 import sys
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -69,12 +70,7 @@ def _add_fuse(subparsers: Any) -> None:
     )
     parser.add_argument("folder", metavar="DIR", help="folder of posed RGB-D; the layout is detected")
     parser.add_argument("--output", required=True, metavar="FILE", help="the mesh, .ply")
-    parser.add_argument(
-        "--intrinsics", metavar="FX,FY,CX,CY", help="intrinsics of the camera, pixels; override those of the folder"
-    )
-    parser.add_argument(
-        "--depth-scale", type=float, metavar="X", help="units of the depth images per metre; overrides that of the layout"
-    )
+    add_camera_options(parser)
     parser.add_argument(
         "--pose-convention",
         choices=(AS_READ, AUTO, *CAMERA_CONVENTIONS),
@@ -85,6 +81,27 @@ def _add_fuse(subparsers: Any) -> None:
     parser.add_argument("--report", metavar="FILE", help="write the comparison as JSON")
     add_settings(parser, FuseSettings, _names(FuseSettings))
     parser.set_defaults(run=_fuse)
+
+
+def add_camera_options(parser: argparse._ActionsContainer) -> None:
+    """Adds the options that override what a folder of posed RGB-D says of its camera, which ``camera_overrides`` reads."""
+    parser.add_argument(
+        "--intrinsics", metavar="FX,FY,CX,CY", help="intrinsics of the camera, pixels; override those of a folder of posed RGB-D"
+    )
+    parser.add_argument(
+        "--depth-scale", type=float, metavar="X", help="units of the depth images per metre; overrides that of the folder"
+    )
+
+
+def camera_overrides(args: argparse.Namespace) -> dict[str, Any]:
+    """Returns the options of ``add_camera_options`` as arguments of ``open_posed_rgbd`` and ``open_photographs``.
+
+    Raises:
+        ConfigError: the intrinsics are not four numbers, or the scale is not above 0.
+    """
+    if args.depth_scale is not None and not 0.0 < args.depth_scale < math.inf:
+        raise ConfigError(f"--depth-scale {args.depth_scale:g}: must be a number above 0, such as 1000 for depths in millimetres")
+    return {"focal": _parse_intrinsics(args.intrinsics), "depth_scale": args.depth_scale}
 
 
 def _scan(args: argparse.Namespace) -> ExitCode:
@@ -119,8 +136,10 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     output = Path(args.output)
     if output.suffix.lower() != ".ply":
         raise ConfigError(f"--output {output}: must end in .ply")
+    if output.exists():
+        raise ConfigError(f"--output {output}: already exists; give another name, or delete it first")
     open3d()  # fails early if it is not installed
-    rgbd = open_posed_rgbd(Path(args.folder), focal=_parse_intrinsics(args.intrinsics), depth_scale=args.depth_scale)
+    rgbd = open_posed_rgbd(Path(args.folder), **camera_overrides(args))
     for warning in rgbd.warnings:
         print(f"gibson-sim: {rgbd.folder}: {warning}", file=sys.stderr)
     scene = load_scene(args.compare) if args.compare else None
@@ -166,7 +185,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
         print(
             f"images show {100.0 * result.shown:.1f} % of all solid surfaces; the mesh has {100.0 * result.covered:.1f} % of these within 5 cm"
         )
-    print(f"next: `gibson-sim scene check {output}` reports holes, floor areas that gaps separate, and tilt")
+    print(f"next: `gibson-sim scene check {shlex.quote(str(output))}` reports holes, floor areas that gaps separate, and tilt")
     write_json(Path(args.report) if args.report else None, report)
     return ExitCode.OK
 

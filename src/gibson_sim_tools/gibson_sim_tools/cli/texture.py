@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -13,6 +14,7 @@ from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError
+from gibson_sim_tools.cli.scan import add_camera_options, camera_overrides
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO
 from gibson_sim_tools.texturing.settings import MOST_PHOTOGRAPHS, POSE_CONVENTIONS, TextureSettings
 
@@ -52,6 +54,7 @@ def add_parser(subparsers: Any) -> None:
         default=AS_READ,
         help="convention of the poses: as-read = that of the layout; auto = the one for which the photographs agree best; or a name",
     )
+    add_camera_options(parser)
     parser.add_argument(
         "--unit", metavar="UNIT", help="unit of poses and mesh: a name as in scene import, or metres per unit (default: metres)"
     )
@@ -96,7 +99,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim_tools.texturing.conventions import resolve_convention
     from gibson_sim_tools.texturing.evaluation import contact_sheet, evaluate_held_out
     from gibson_sim_tools.texturing.photograph_selection import select_photographs
-    from gibson_sim_tools.texturing.surface import split_long_edges, surface_from_mesh
+    from gibson_sim_tools.texturing.surface import MAX_TRIANGLES, check_split, split_count, split_long_edges, surface_from_mesh
     from gibson_sim_tools.texturing.texture import texture_surface
     from gibson_sim_tools.texturing.textured_scene import write_textured_scene
 
@@ -112,14 +115,16 @@ def _run(args: argparse.Namespace) -> ExitCode:
     if args.known_length is not None and args.unit is not None:
         raise ConfigError("--unit and --known-length both set the scale; give one of them")
     scale = args.known_length or unit_m(args.unit) or 1.0
-    photographs = open_photographs(args.photographs, settings.longest_side)
+    photographs = open_photographs(args.photographs, settings.longest_side, **camera_overrides(args))
     for warning in photographs.warnings:
         print(f"gibson-sim: {photographs.folder}: {warning}", file=sys.stderr)
     surface = surface_from_mesh(load_mesh(args.mesh, [args.mesh.resolve().parent])).scaled(scale)
-    surface = split_long_edges(surface, settings.longest_edge)
+    if split_count(surface, settings.longest_edge) <= MAX_TRIANGLES:
+        surface = split_long_edges(surface, settings.longest_edge)
     photographs, text = resolve_convention(surface, photographs.scaled(scale), args.pose_convention)
     if text:
         print(text)
+    check_split(surface, settings.longest_edge)
     if len(photographs) > args.most_photographs:
         with progress_bar(f"selecting {args.most_photographs} of {len(photographs)} photographs") as progress:
             photographs = photographs.subset(select_photographs(surface, photographs, args.most_photographs, progress))
@@ -135,7 +140,10 @@ def _run(args: argparse.Namespace) -> ExitCode:
         print(f"{len(held_out)} held-out photographs, {name}: PSNR {similarity.psnr:.2f} dB, SSIM {similarity.ssim:.3f}")
     if args.sheet is not None:
         write_picture(args.sheet, contact_sheet(textured, held_out)[:, :, ::-1])
-    print(f"next: gibson-sim scene check {file.parent}; gibson-sim run --scene {file.parent}")
+    if metrics and metrics["texture"].warning():
+        print(metrics["texture"].warning())
+    folder = shlex.quote(str(file.parent))
+    print(f"next: gibson-sim scene check {folder}; gibson-sim run --scene {folder}")
     write_json(
         args.report, {**textured.report.as_dict(), "held_out": {name: asdict(similarity) for name, similarity in metrics.items()}}
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, decimated
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.settings import AS_READ, AUTO, CAMERA_CONVENTIONS
+from gibson_sim_tools.texturing.conventions import with_convention
 from gibson_sim_tools.texturing.rasteriser import rasterise
 from gibson_sim_tools.texturing.surface import Surface, surface_from_mesh
 
@@ -31,16 +33,38 @@ _MIN_GAIN, _MIN_SHARE = 0.15, 0.2
 """Least gain of the front-face share by another rotation than the first, and least share of the selected one."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenMesh:
+    """A mesh that was supplied with photographs, in the frame of their poses."""
+
+    mesh: ColouredMesh
+    has_colors: bool
+    """Whether its file has vertex colours."""
+    convention: str
+    """Convention of the poses in which the photographs show it: that of the caller, or, for ``auto``, ``as-read`` or a name."""
+    text: str
+    """Message about the selected rotation."""
+
+
 def given_mesh(
-    path: Path, photographs: Photographs, progress: Callable[[float], None] = lambda _: None
-) -> tuple[ColouredMesh, bool, str]:
-    """Returns the mesh in the frame of the poses, whether its file has vertex colours, and a message about the selected rotation.
+    path: Path, photographs: Photographs, convention: str, progress: Callable[[float], None] = lambda _: None
+) -> GivenMesh:
+    """Returns the mesh in the frame of the poses.
+
+    Args:
+        path: file of the mesh.
+        photographs: as their layout was read.
+        convention: one of ``POSE_CONVENTIONS``, ``as-read`` or ``auto`` = as read, unless the photographs show the mesh in another one only.
+        progress: called with the fraction that is done, 0 to 1.
 
     Raises:
         MeshError: it cannot be read.
-        ScanError: its front faces fill less than ``_MIN_SHARE`` of the photographs.
+        ScanError: its front faces fill less than ``_MIN_SHARE`` of the photographs, in every convention if that is ``auto``.
     """
-    surface = surface_from_mesh(load_mesh(path, [path.resolve().parent]))
+    try:
+        surface = surface_from_mesh(load_mesh(path, [path.resolve().parent]))
+    except ScanError as error:
+        raise ScanError(f"{path}: {error}") from error
     has_colors = surface.colors is not None
     colors = np.full((len(surface.vertices), 3), GREY, dtype=np.uint8) if surface.colors is None else surface.colors
     mesh = ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), colors)
@@ -50,20 +74,31 @@ def given_mesh(
             simplified = decimated(mesh, _MAX_TRIANGLES)
         except MeshError:  # without meshoptimizer, rasterisation takes longer
             simplified = mesh
-    shares = []
-    for k, (_, R) in enumerate(_ROTATIONS):
-        shares.append(front_face_share(simplified.vertices @ R.T, simplified.triangles, photographs))
-        progress((k + 1) / len(_ROTATIONS))
-    best = int(np.argmax(shares))
-    best = best if shares[best] > shares[0] + _MIN_GAIN else 0
-    if shares[best] < _MIN_SHARE:
+
+    def rotation_and_share(name: str) -> tuple[int, float]:
+        posed = with_convention(photographs, name)
+        shares = [front_face_share(simplified.vertices @ R.T, simplified.triangles, posed) for _, R in _ROTATIONS]
+        best = int(np.argmax(shares))
+        best = best if shares[best] > shares[0] + _MIN_GAIN else 0
+        return best, shares[best]
+
+    convention_read = AS_READ if convention == AUTO else convention
+    best, share = rotation_and_share(convention_read)
+    progress(0.5)
+    if share < _MIN_SHARE and convention == AUTO:
+        found = {name: rotation_and_share(name) for name in CAMERA_CONVENTIONS}
+        convention_read = max(found, key=lambda name: found[name][1])
+        best, share = found[convention_read]
+    if share < _MIN_SHARE:
         raise ScanError(
-            f"{path}: fills {100.0 * shares[best]:.0f} % of the photographs from its front, at least {100.0 * _MIN_SHARE:.0f} % is needed; are mesh "
-            "and poses of the same frame and scale, and are its triangles wound towards the room?"
+            f"{path}: fills {100.0 * share:.0f} % of the photographs from its front, at least {100.0 * _MIN_SHARE:.0f} % is needed"
+            f"{', in any convention of the poses' if convention == AUTO else ''}; are mesh and poses of the same frame and scale, and are its "
+            "triangles wound towards the room?"
         )
     name, R = _ROTATIONS[best]
-    text = f"{path.name}: {len(mesh.triangles)} triangles, {name}; it fills {100.0 * shares[best]:.0f} % of the photographs"
-    return replace(mesh, vertices=np.ascontiguousarray(mesh.vertices @ R.T.astype(np.float32))), has_colors, text
+    text = f"{path.name}: {len(mesh.triangles)} triangles, {name}; it fills {100.0 * share:.0f} % of the photographs"
+    mesh = replace(mesh, vertices=np.ascontiguousarray(mesh.vertices @ R.T.astype(np.float32)))
+    return GivenMesh(mesh, has_colors, convention_read, text)
 
 
 def front_face_share(vertices: F64, triangles: NDArray[np.integer], photographs: Photographs) -> float:

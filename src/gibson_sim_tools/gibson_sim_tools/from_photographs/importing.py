@@ -44,12 +44,12 @@ from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplify_quadric
 from gibson_sim_tools.scanning.planes import snap_to_planes
 from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
-from gibson_sim_tools.scanning.settings import AUTO, FuseSettings
+from gibson_sim_tools.scanning.settings import AS_READ, AUTO, FuseSettings
 from gibson_sim_tools.texturing.conventions import resolve_convention
 from gibson_sim_tools.texturing.evaluation import ImageSimilarity, RenderedImage, image_similarity
 from gibson_sim_tools.texturing.photograph_selection import select_photographs
-from gibson_sim_tools.texturing.settings import MOST_PHOTOGRAPHS, TextureSettings
-from gibson_sim_tools.texturing.surface import Surface, surface_from_mesh
+from gibson_sim_tools.texturing.settings import MOST_PHOTOGRAPHS, POSE_CONVENTIONS, TextureSettings
+from gibson_sim_tools.texturing.surface import Surface, check_split, surface_from_mesh
 from gibson_sim_tools.texturing.texture import texture_surface
 from gibson_sim_tools.texturing.textured_scene import textured_mesh
 
@@ -88,6 +88,8 @@ class PhotographImport:
     """Approximate up direction in the frame of the poses, (3,); None = that of the layout, or of the cameras."""
     unit_m: float | None = None
     """Metres per unit of the poses and the mesh; None = metres."""
+    pose_convention: str = AUTO
+    """Convention of the poses: one of ``POSE_CONVENTIONS``, ``as-read`` or ``auto``."""
     source: str = ""
     """Source of the job, see ``StagedJob``; empty = the folder of the photographs."""
 
@@ -100,11 +102,13 @@ class PhotographImport:
                 "fuse",
                 self._fuse,
                 (_FUSED, _RECORDS["fused"]),
-                (s.voxel, s.depth_max, s.hold_out, s.hold_out_depth),
+                (s.voxel, s.depth_max, s.hold_out, s.hold_out_depth, self.pose_convention),
                 0.08 * count,
             )
             if inputs.mesh is None
-            else Stage("mesh", self._load_mesh, (_FUSED, _RECORDS["fused"]), _file_state(inputs.mesh), 10.0)
+            else Stage(
+                "mesh", self._load_mesh, (_FUSED, _RECORDS["fused"]), (_file_state(inputs.mesh), self.pose_convention), 10.0
+            )
         )
         return [
             Stage("photographs", self._check_images, (), self._inputs(), 0.02 * count),
@@ -164,7 +168,7 @@ class PhotographImport:
         held_out = [k for k, files in enumerate(rgbd.files) if files.color in held_out_files]
         if self.settings.hold_out_depth:
             rgbd, held_out = rgbd.subset(np.setdiff1d(np.arange(len(rgbd)), held_out).tolist()), []
-        convention, message = detect_convention(rgbd, range(len(rgbd)), settings.depth_max, AUTO)
+        convention, message = detect_convention(rgbd, range(len(rgbd)), settings.depth_max, self.pose_convention)
         fusion = fuse_scan(
             rgbd.with_poses(reinterpret_poses(rgbd.poses, rgbd.layout, convention)), settings, progress, depth_only=held_out
         )
@@ -182,16 +186,22 @@ class PhotographImport:
 
     def _load_mesh(self, progress: Progress) -> Sequence[str]:
         assert self.inputs.mesh is not None
-        mesh, has_colors, text = given_mesh(self.inputs.mesh, self.inputs.photographs, progress)
-        mesh = replace(mesh, vertices=mesh.vertices * np.float32(self.unit_m or 1.0))
+        photographs = self.inputs.photographs
+        given = given_mesh(self.inputs.mesh, photographs, self.pose_convention, progress)
+        mesh = replace(given.mesh, vertices=given.mesh.vertices * np.float32(self.unit_m or 1.0))
         surface = Surface(mesh.vertices.astype(np.float64), mesh.triangles.astype(np.int64))
-        posed, message = resolve_convention(surface, self.inputs.photographs.scaled(self.unit_m or 1.0), AUTO)
+        convention, message = self.pose_convention, ""
+        if convention == AUTO and given.convention != AS_READ:
+            convention = given.convention
+            message = f"poses are read as {convention}: {POSE_CONVENTIONS[convention]} (as read, no photograph shows the mesh)"
+        posed, found = resolve_convention(surface, photographs.scaled(self.unit_m or 1.0), convention)
+        check_split(surface, TextureSettings().longest_edge)
         corners = mesh.vertices[mesh.triangles[:: max(len(mesh.triangles) // 100_000, 1)]]
         edge = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
         write_ply(self.output / _FUSED, mesh)
         voxel = min(max(edge, _VOXEL_RANGE[0]), _VOXEL_RANGE[1])
-        self._write("fused", {"voxel": voxel, "coloured": has_colors, "T_scan_camera": posed.poses.tolist()})
-        return [text, message] if message else [text]
+        self._write("fused", {"voxel": voxel, "coloured": given.has_colors, "T_scan_camera": posed.poses.tolist()})
+        return [given.text, *(line for line in (message, found) if line)]
 
     def _planes(self, progress: Progress) -> Sequence[str]:
         mesh, lines = self._read_mesh(_FUSED), []
@@ -370,7 +380,7 @@ class PhotographImport:
                 if before.pixels
                 else f"{what}: none in these photographs"
             )
-        return lines
+        return [*lines, *([similarity.warning()] if similarity.warning() else [])]
 
     def _compare_filled(
         self, photographs: Photographs, numbers: Sequence[int], render: RenderPhotograph

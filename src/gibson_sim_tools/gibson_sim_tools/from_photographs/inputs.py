@@ -91,7 +91,10 @@ def is_photograph_folder(folder: Path) -> bool:
     return any(True for _ in _image_files(folder, (*_IMAGE_SUFFIXES, *_UNSUPPORTED_SUFFIXES)))
 
 
-def find_inputs(folder: Path, mesh: Path | None, *, fuse: bool, longest_side: int, excluded: Path) -> PhotographInputs:
+def find_inputs(
+    folder: Path, mesh: Path | None, *, fuse: bool, longest_side: int, excluded: Path,
+    focal: tuple[float, float, float, float] | None = None, depth_scale: float | None = None,
+) -> PhotographInputs:  # fmt: skip
     """Returns the inputs in a folder of photographs.
 
     Args:
@@ -100,6 +103,8 @@ def find_inputs(folder: Path, mesh: Path | None, *, fuse: bool, longest_side: in
         fuse: fuse a mesh from depth even if the folder holds one.
         longest_side: longest side to which photographs are scaled down, pixels; 0 = full size.
         excluded: folder that is not searched for meshes: the output.
+        focal: fx, fy, cx, cy in pixels; replaces the value of a folder of posed RGB-D.
+        depth_scale: units of the depth images per metre; replaces the value of the folder.
 
     Raises:
         ScanError: there are no photographs, no poses, or neither depth nor a mesh; the message says what is missing.
@@ -116,14 +121,14 @@ def find_inputs(folder: Path, mesh: Path | None, *, fuse: bool, longest_side: in
                 else "; give the folder of the export"
             )
         )
-    photographs = open_photographs(folder, longest_side)
+    photographs = open_photographs(folder, longest_side, focal=focal, depth_scale=depth_scale)
     mesh_file = mesh if mesh is not None or fuse else _find_mesh(folder, excluded)
     if mesh_file is not None:
         if not is_file(mesh_file):
             raise ScanError(f"--mesh {mesh_file}: is not a file; give the mesh of the scan")
         return PhotographInputs(photographs, None, mesh_file)
     is_rgbd = photographs.layout in {layout.name for layout in LAYOUTS}
-    rgbd = open_posed_rgbd(folder) if is_rgbd else depth_frames(photographs)
+    rgbd = open_posed_rgbd(folder, focal=focal, depth_scale=depth_scale) if is_rgbd else depth_frames(photographs)
     if rgbd is None:
         raise ScanError(
             f"{folder}: has {len(photographs)} photographs with poses ({photographs.layout}), but neither depth images that can be fused nor a "

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,11 @@ TRANSFORMS = "transforms.json"
 _COLMAP_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0", "dense/sparse")
 _IMAGE_FOLDERS = ("images", "", "dense/images")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+POSE_PROGRAMS = (
+    "COLMAP finds them (colmap automatic_reconstructor), or nerfstudio (ns-process-data), or export them from a scanning app with its poses "
+    "(Polycam: raw data; Record3D)"
+)
+"""Programs that make poses, as text for messages."""
 _MAX_BYTES = 2 * 2**30
 """Largest size of a file of a model, bytes; images.bin holds all feature points."""
 _PIXEL_CENTRE = 0.5
@@ -41,18 +47,57 @@ _CAMERA_MODELS = {
 """COLMAP's camera models: name -> (id in binary files, number of parameters)."""
 
 
-def open_photographs(folder: Path, longest_side: int = 0) -> Photographs:
+def open_photographs(
+    folder: Path, longest_side: int = 0, *, focal: tuple[float, float, float, float] | None = None, depth_scale: float | None = None
+) -> Photographs:  # fmt: skip
     """Returns the posed photographs in a folder.
 
     Args:
         folder: folder of any known layout.
         longest_side: longest side to which images are scaled down, pixels; 0 = full size.
+        focal: fx, fy, cx, cy in pixels; replaces the value of a folder of posed RGB-D.
+        depth_scale: units of the depth images per metre; replaces the value of the folder.
 
     Raises:
         ScanError: the folder does not exist, has no known layout, or is incomplete; the message says what is missing.
     """
     if not folder.is_dir():
         raise ScanError(f"{folder}: is not a folder; give the one that contains the photographs and their poses")
+    photographs = _open_with_cameras(folder, longest_side)
+    if photographs is not None:
+        if focal is not None:
+            raise ScanError(
+                f"{folder}: its layout ({photographs.layout}) holds the intrinsics of each photograph; leave out --intrinsics"
+            )
+        if depth_scale is None:
+            return photographs
+        return replace(photographs, items=tuple(replace(item, depth_scale=depth_scale) for item in photographs.items))
+    if any(layout.recognises(folder) for layout in LAYOUTS):
+        rgbd = open_posed_rgbd(folder, focal=focal, depth_scale=depth_scale)
+        camera = CameraModel(rgbd.intrinsics)
+        items = tuple(Photograph(f.color, camera, f.T_world_camera, f.depth, rgbd.depth_scale) for f in rgbd.files)
+        return Photographs(folder, rgbd.layout, items, longest_side, rgbd.warnings)
+    if is_file(folder / _BAG_FILE):
+        raise ScanError(
+            f"{folder}: is a bag; make photographs with poses of it first: gibson-sim export {folder} DIR --to nerfstudio"
+        )
+    if count_images(folder):
+        raise ScanError(f"{folder}: has photographs but no poses; {POSE_PROGRAMS}")
+    known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
+    raise ScanError(
+        f"{folder}: unknown layout of posed photographs; known: nerfstudio: {TRANSFORMS}; "
+        f"colmap: cameras and images, .txt or .bin, also in sparse/0, and images/; polycam: keyframes/; record3d: metadata.json and rgb/; {known}"
+    )
+
+
+def count_images(folder: Path) -> int:
+    """Returns the number of photographs, with or without poses, in a folder and its folder ``images``."""
+    places = [place for place in (folder, folder / "images") if is_folder(place)]
+    return sum(p.suffix.lower() in _IMAGE_SUFFIXES for place in places for p in place.iterdir())
+
+
+def _open_with_cameras(folder: Path, longest_side: int) -> Photographs | None:
+    """Returns the photographs in a folder whose layout holds camera models; None = it has another layout."""
     if is_file(folder / TRANSFORMS):
         return _read_nerfstudio(folder, longest_side)
     keyframes = find_polycam_folders(folder)
@@ -62,29 +107,7 @@ def open_photographs(folder: Path, longest_side: int = 0) -> Photographs:
     if images is not None:
         return read_record3d(folder, images, longest_side)
     model_folder = next((folder / name for name in _COLMAP_FOLDERS if _model_suffix(folder / name)), None)
-    if model_folder is not None:
-        return _read_colmap(folder, model_folder, longest_side)
-    if any(layout.recognises(folder) for layout in LAYOUTS):
-        rgbd = open_posed_rgbd(folder)
-        camera = CameraModel(rgbd.intrinsics)
-        items = tuple(Photograph(f.color, camera, f.T_world_camera, f.depth, rgbd.depth_scale) for f in rgbd.files)
-        return Photographs(folder, rgbd.layout, items, longest_side, rgbd.warnings)
-    if any(
-        p.suffix.lower() in _IMAGE_SUFFIXES for place in (folder, folder / "images") if is_folder(place) for p in place.iterdir()
-    ):
-        raise ScanError(
-            f"{folder}: has photographs but no poses; COLMAP finds them (colmap automatic_reconstructor), or nerfstudio "
-            "(ns-process-data), or export them from a scanning app with its poses (Polycam: raw data; Record3D)"
-        )
-    if is_file(folder / _BAG_FILE):
-        raise ScanError(
-            f"{folder}: is a bag; make photographs with poses of it first: gibson-sim export {folder} DIR --to nerfstudio"
-        )
-    known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
-    raise ScanError(
-        f"{folder}: unknown layout of posed photographs; known: nerfstudio: {TRANSFORMS}; "
-        f"colmap: cameras and images, .txt or .bin, also in sparse/0, and images/; polycam: keyframes/; record3d: metadata.json and rgb/; {known}"
-    )
+    return None if model_folder is None else _read_colmap(folder, model_folder, longest_side)
 
 
 def _read_nerfstudio(folder: Path, longest_side: int) -> Photographs:

@@ -1,6 +1,6 @@
 """Conventions of camera poses in files, and detection of the right one by geometric consistency of neighbouring depth images.
 
-The detection precedes the fusion: a mesh that is fused from wrongly read poses is consistent with them, so that no later stage can detect it.
+The detection precedes the fusion: a mesh that is fused from wrong poses or depths is consistent with them, so that no later stage can detect it.
 """
 
 from __future__ import annotations
@@ -50,8 +50,22 @@ _DEPTH_TOLERANCE, _DEPTH_TOLERANCE_RATIO = 0.03, 0.02
 """Largest difference of consistent depths: metres, and metres per metre of depth."""
 _MIN_OVERLAP = 0.2
 """Share of the points in the view of the other frame below which the score falls in proportion."""
-_MIN_CONSISTENCY, _MAX_ERROR_RATIO = 0.8, 0.5
-"""Least score of correct poses at any noise; largest ratio of errors (1 - score) by which another convention is correct."""
+_USUAL_CONSISTENCY, _MIN_CONSISTENCY = 0.8, 0.5
+"""Score of correct poses and depths, and the least score that is fused: noise of 2 cm and 1 degree in each pose leaves 0.53 and more."""
+_MAX_ERROR_RATIO = 0.5
+"""Largest ratio of errors (1 - score) by which another convention is correct."""
+_MAX_SCALE_ERROR_RATIO = 0.25
+"""The same for another scale of depths: larger depths hide noise in positions."""
+_MIN_WRONG_DISTANCE = 1.0
+"""Median distance between neighbouring cameras from which positions may have another unit, metres."""
+_MIN_EXPECTED_OVERLAP = 0.3
+"""Least overlap of a compared pair after its rotation alone: pairs that look in different directions tell nothing."""
+_DEPTH_SCALES = (1.0, 10.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 10000.0)
+"""Usual scales of depth images, units per metre."""
+_POSE_UNITS = {"millimetres": 1000.0, "centimetres": 100.0}
+"""Units of poses besides metres: name -> units per metre."""
+_PLAUSIBLE_DEPTH = (0.2, 10.0)
+"""Range of the median depth of a scan of rooms, metres."""
 
 
 def reinterpret_poses(poses: F64, layout: str, name: str) -> F64:
@@ -71,7 +85,7 @@ def reinterpret_poses(poses: F64, layout: str, name: str) -> F64:
 def detect_convention(
     rgbd: PosedRgbd, frames: Sequence[int], depth_max: float, convention: str = AS_READ
 ) -> tuple[str, str]:  # fmt: skip
-    """Returns the convention for ``reinterpret_poses``, and a message; empty = the poses are consistent as read.
+    """Returns the convention for ``reinterpret_poses``, and a message or warning; empty = the poses are consistent as read.
 
     Args:
         rgbd: as its layout was read.
@@ -80,26 +94,99 @@ def detect_convention(
         convention: one of ``CAMERA_CONVENTIONS``, ``as-read`` or ``auto`` = as read, unless frames are consistent in another one.
 
     Raises:
-        ScanError: frames are not consistent in this convention, and are in another one, which is named; or an image is broken.
+        ScanError: frames are not consistent in this convention; the message names the convention or the scale in which they are, if any. Or
+            the depth images hold no depth, or an image is broken.
     """
-    name = AS_READ if convention == AUTO else convention
-    pairs = _frame_pairs(rgbd, frames, depth_max)
-    consistency = _depth_consistency(pairs, reinterpret_poses(rgbd.poses, rgbd.layout, name), rgbd.intrinsics)
-    if not pairs or consistency >= _MIN_CONSISTENCY:
+    name, text = AS_READ if convention == AUTO else convention, ""
+    pairs = _frame_pairs(rgbd, frames)
+    if pairs and not any(len(pair.points) for pair in pairs):
+        raise ScanError(
+            f"{rgbd.folder}: the depth images hold no depth: all pixels of the {len(pairs)} that were read are 0 or 65535"
+        )
+    pairs = [pair for pair in pairs if pair.expected_overlap >= _MIN_EXPECTED_OVERLAP]
+    if not pairs:
         return name, ""
-    scores = {
-        other: _depth_consistency(pairs, reinterpret_poses(rgbd.poses, rgbd.layout, other), rgbd.intrinsics) for other in CAMERA_CONVENTIONS
-    }  # fmt: skip
+
+    def score(other: str, scale: _Scale = _UNCHANGED) -> float:
+        return _depth_consistency(pairs, reinterpret_poses(rgbd.poses, rgbd.layout, other), rgbd.intrinsics, depth_max, scale)
+
+    consistency = score(name)
+    if consistency >= _USUAL_CONSISTENCY:
+        return name, ""
+    scores = {other: score(other) for other in CAMERA_CONVENTIONS}
     best = max(scores, key=lambda other: scores[other])
-    if 1.0 - scores[best] > _MAX_ERROR_RATIO * (1.0 - consistency):
-        return name, ""
-    numbers = f"agreement {scores[best]:.2f} against {consistency:.2f}"
-    if convention == AUTO:
-        return best, f"poses are read as {best}: {CAMERA_CONVENTIONS[best]} ({numbers})"
-    raise ScanError(
-        f"{rgbd.folder}: neighbouring depth images agree if poses are read as {best} ({CAMERA_CONVENTIONS[best]}), but not as they are read now "
-        f"({numbers}); give --pose-convention {best}, or {AUTO}"
+    if 1.0 - scores[best] <= _MAX_ERROR_RATIO * (1.0 - consistency):
+        numbers = f"agreement {scores[best]:.2f} against {consistency:.2f}"
+        if convention != AUTO:
+            raise ScanError(
+                f"{rgbd.folder}: neighbouring depth images agree if poses are read as {best} ({CAMERA_CONVENTIONS[best]}), but not as they are "
+                f"read now ({numbers}); give --pose-convention {best}, or {AUTO}"
+            )
+        name, text, consistency = best, f"poses are read as {best}: {CAMERA_CONVENTIONS[best]} ({numbers})", scores[best]
+        if consistency >= _USUAL_CONSISTENCY:
+            return name, text
+    poses = reinterpret_poses(rgbd.poses, rgbd.layout, name)[list(frames)]
+    distance = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+    hypothesis = _other_scale(rgbd, pairs, lambda scale: score(name, scale), consistency, distance)
+    numbers = f"({consistency:.2f} of the pixels; {_USUAL_CONSISTENCY:g} and more are usual)"
+    median_depth = _median_depth(pairs)
+    advice = hypothesis or (
+        f"check the depth scale ({rgbd.depth_scale:g} units per metre, median depth {median_depth:.3g} m), the order of quaternions and the "
+        f"intrinsics; neighbouring cameras are {distance:.3g} m apart (median)"
     )
+    if not hypothesis and median_depth > depth_max:
+        advice = f"most depths are beyond --depth-max {depth_max:g}: give a larger one, or {advice}"
+    if consistency < _MIN_CONSISTENCY:
+        problem = f"disagree {numbers}; " if hypothesis else f"agree in no convention {numbers}: "
+        raise ScanError(f"{rgbd.folder}: neighbouring depth images {problem}{advice}")
+    warning = f"warning: neighbouring depth images agree poorly {numbers}: poses or depths are noisy, or else {advice}"
+    return name, f"{text}; {warning}" if text else warning
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """Another scale of the depths or of the poses, as factors."""
+
+    depth: float = 1.0
+    position: float = 1.0
+    tolerance: float = 1.0
+    """Of the constant part of the tolerance."""
+
+
+_UNCHANGED = _Scale()
+
+
+def _other_scale(
+    rgbd: PosedRgbd, pairs: Sequence[_FramePair], score: Callable[[_Scale], float], consistency: float, distance: float
+) -> str:  # fmt: skip
+    """Returns the usual scale of depths or poses in which the frames are consistent, and the remedy, as text; empty = there is none.
+
+    Args:
+        rgbd: the frames.
+        pairs: compared pairs.
+        score: returns the consistency in another scale.
+        consistency: that of the present scale.
+        distance: median distance between neighbouring cameras, metres.
+    """
+    median_depth = _median_depth(pairs)
+    found: list[tuple[float, str]] = []
+    for units in _DEPTH_SCALES:
+        factor = rgbd.depth_scale / units
+        if factor != 1.0 and _PLAUSIBLE_DEPTH[0] <= factor * median_depth <= _PLAUSIBLE_DEPTH[1]:
+            agreement = score(_Scale(depth=factor))
+            # Compared at the same relative tolerance: small depths alone meet a constant one.
+            present = max(consistency, score(_Scale(tolerance=1.0 / factor)))
+            if agreement >= _USUAL_CONSISTENCY and 1.0 - agreement <= _MAX_SCALE_ERROR_RATIO * (1.0 - present):
+                text = f"they agree with a depth scale of {units:g} units per metre instead of {rgbd.depth_scale:g}"
+                found.append((agreement, f"{text} ({agreement:.2f}): give --depth-scale {units:g}"))
+    for unit, per_metre in _POSE_UNITS.items():
+        agreement = score(_Scale(position=1.0 / per_metre)) if distance > _MIN_WRONG_DISTANCE else 0.0
+        if agreement >= _USUAL_CONSISTENCY:
+            text = (
+                f"they agree if the positions of the cameras are in {unit} ({agreement:.2f}), but the pose file must hold metres"
+            )
+            found.append((agreement, f"{text}: neighbouring cameras are {distance:.3g} m apart (median)"))
+    return max(found)[1] if found else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,9 +199,11 @@ class _FramePair:
     """(N, 3), back-projected depth of the first frame, its camera frame, metres."""
     depth: NDArray[np.float32]
     """(H, W), depth of the second frame, metres, NaN = none."""
+    expected_overlap: float
+    """Share of the first image that the second shows after the rotation alone, 0 to 1."""
 
 
-def _frame_pairs(rgbd: PosedRgbd, frames: Sequence[int], depth_max: float) -> list[_FramePair]:
+def _frame_pairs(rgbd: PosedRgbd, frames: Sequence[int]) -> list[_FramePair]:
     """Returns pairs of frames, spread evenly over the scan."""
     if len(frames) < 2:
         return []
@@ -128,31 +217,47 @@ def _frame_pairs(rgbd: PosedRgbd, frames: Sequence[int], depth_max: float) -> li
             later[np.maximum(_ROTATION_RANGE_DEG[0] - rotation_deg, rotation_deg - _ROTATION_RANGE_DEG[1]).clip(0.0).argmin()]
         )
         depth = rgbd[first].depth[::_PIXEL_STRIDE, ::_PIXEL_STRIDE].astype(np.float64)
-        v, u = np.nonzero((depth > _MIN_DEPTH) & (depth <= depth_max))
-        z = depth[v, u]
-        points = np.stack(
-            [(u * _PIXEL_STRIDE - camera.cx) / camera.fx * z, (v * _PIXEL_STRIDE - camera.cy) / camera.fy * z, z], axis=1
-        )
-        pairs.append(_FramePair(first, second, points, rgbd[second].depth))
+        v, u = np.indices(depth.shape) * _PIXEL_STRIDE
+        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(depth)], axis=-1)
+        rotated = rays @ (poses[second, :3, :3].T @ poses[first, :3, :3]).T
+        overlap = float(_pixels(rotated.reshape(-1, 3), camera)[2].mean())
+        is_known = depth > 0.0
+        pairs.append(_FramePair(first, second, (rays * depth[..., None])[is_known], rgbd[second].depth, overlap))
     return pairs
 
 
-def _depth_consistency(pairs: Sequence[_FramePair], poses: Sequence[Mat4] | F64, camera: Intrinsics) -> float:
+def _median_depth(pairs: Sequence[_FramePair]) -> float:
+    """Returns the median depth of the compared points, metres."""
+    return float(np.median(np.concatenate([pair.points[:, 2] for pair in pairs])))
+
+
+def _pixels(points: F64, camera: Intrinsics) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Returns the columns and rows (N,) of points (N, 3), camera frame, and whether they are in the image; elsewhere 0."""
+    z = np.where(points[:, 2] > 0.0, points[:, 2], np.nan)
+    u, v = np.rint(points[:, 0] / z * camera.fx + camera.cx), np.rint(points[:, 1] / z * camera.fy + camera.cy)
+    is_inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    return np.where(is_inside, u, 0).astype(np.int64), np.where(is_inside, v, 0).astype(np.int64), is_inside
+
+
+def _depth_consistency(
+    pairs: Sequence[_FramePair], poses: Sequence[Mat4] | F64, camera: Intrinsics, depth_max: float, scale: _Scale
+) -> float:
     """Returns the share of the first frames' points that are consistent with the second frames' depth where that is known; 0 to 1."""
     visible = total = consistent = 0
     for pair in pairs:
-        points = transform_points(invert(poses[pair.second]) @ poses[pair.first], pair.points)
+        points = scale.depth * pair.points
+        points = points[(points[:, 2] > _MIN_DEPTH) & (points[:, 2] <= depth_max)]
+        T = invert(poses[pair.second]) @ poses[pair.first]
+        T[:3, 3] *= scale.position
+        points = transform_points(T, points)
         total += len(points)
-        points = points[points[:, 2] > _MIN_DEPTH]
-        x, y, z = points.T
-        u, v = np.rint(x / z * camera.fx + camera.cx), np.rint(y / z * camera.fy + camera.cy)
-        is_inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        z, depth = z[is_inside], pair.depth[v[is_inside].astype(np.int64), u[is_inside].astype(np.int64)]
+        u, v, is_inside = _pixels(points, camera)
+        is_inside &= points[:, 2] > _MIN_DEPTH
+        z, depth = points[is_inside, 2], scale.depth * pair.depth[v[is_inside], u[is_inside]].astype(np.float64)
         is_known = np.isfinite(depth)
         visible += int(is_known.sum())
-        consistent += int(
-            (np.abs(depth[is_known] - z[is_known]) <= _DEPTH_TOLERANCE + _DEPTH_TOLERANCE_RATIO * z[is_known]).sum()
-        )
+        tolerance = scale.tolerance * _DEPTH_TOLERANCE + _DEPTH_TOLERANCE_RATIO * z[is_known]
+        consistent += int((np.abs(depth[is_known] - z[is_known]) <= tolerance).sum())
     if not visible:
         return 0.0
     return consistent / visible * min(visible / (_MIN_OVERLAP * total), 1.0)

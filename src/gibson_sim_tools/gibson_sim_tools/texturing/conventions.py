@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import TO_Z_UP
+from gibson_sim_tools.importing.checks.gravity import unit_text
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.pose_conventions import reinterpret_poses
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
@@ -28,6 +29,12 @@ _PAIR_COUNT, _LONGEST_SIDE_PX = 6, 160
 """Number of compared pairs of consecutive photographs, and their longest side after scaling, pixels."""
 _MIN_CONSISTENCY, _MIN_RATIO = 0.25, 2.0
 """Least score of correct poses, also on surfaces with little texture; least ratio of scores by which another convention is correct."""
+_USUAL_CONSISTENCY = 0.12
+"""Score below which a warning says so, without depth images that agree with the mesh; nine of ten noisy scans have 0.18 and more."""
+_POSITION_SCALES = (0.001, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0)
+"""Factors of the positions of cameras that are tested: another unit, or another scale than the mesh."""
+_TESTED_CORRELATION, _MAX_ERROR_RATIO, _MIN_COVERAGE_RATIO = 0.9, 0.5, 0.8
+"""Correlation below which they are tested; largest ratio of errors (1 - correlation) and least ratio of coverages by which one is correct."""
 _MIN_SHARED_VIEWS = 50
 """Least number of views of triangles that two or more photographs show."""
 _DEPTH_TOLERANCE, _SCALE_TOLERANCE, _MAX_SPREAD = 0.1, 0.15, 0.1
@@ -108,7 +115,8 @@ def _cross_view_correlation(views: Views) -> float:
 
 
 def resolve_convention(surface: Surface, photographs: Photographs, convention: str = AS_READ) -> tuple[Photographs, str]:
-    """Returns the photographs with their poses in the given or detected convention, and a message; empty = read as their layout says.
+    """Returns the photographs with their poses in the given or detected convention, and a message or warning; empty = read as their layout
+    says.
 
     Args:
         surface: in the world frame of the poses.
@@ -116,7 +124,8 @@ def resolve_convention(surface: Surface, photographs: Photographs, convention: s
         convention: one of ``POSE_CONVENTIONS``, ``as-read`` or ``auto`` = the most photo-consistent one.
 
     Raises:
-        ScanError: the poses are not photo-consistent, and are in another convention, which is named; or depth images have another scale.
+        ScanError: the poses are not photo-consistent, and are in another convention or scale, which is named; or depth images have another
+            scale.
     """
     reread_photographs = with_convention(photographs, AS_READ if convention == AUTO else convention)
     consistency = photo_consistency(surface, reread_photographs)
@@ -132,7 +141,16 @@ def resolve_convention(surface: Surface, photographs: Photographs, convention: s
                 with_convention(photographs, name),
                 f"poses are read as {name}: {POSE_CONVENTIONS[name]} ({numbers})",
             )
-    _check_depth_scale(surface, reread_photographs)
+            consistency = best_consistency
+    if _check_depth(surface, reread_photographs):
+        return reread_photographs, text
+    _check_position_scale(surface, reread_photographs, consistency)
+    if consistency.score < _USUAL_CONSISTENCY:
+        warning = (
+            f"warning: photographs agree poorly on the mesh (agreement {consistency.score:.2f}; {_USUAL_CONSISTENCY:g} and more are usual): are mesh "
+            "and poses of the same frame and scale? Check the order of quaternions and the intrinsics"
+        )
+        text = f"{text}; {warning}" if text else warning
     return reread_photographs, text
 
 
@@ -142,8 +160,32 @@ def _best_convention(surface: Surface, photographs: Photographs) -> tuple[str, P
     return max(scored, key=lambda pair: pair[1].score)
 
 
-def _check_depth_scale(surface: Surface, photographs: Photographs) -> None:
-    """Raises ScanError if the depth images agree on a scale that differs from that of the mesh."""
+def _check_position_scale(surface: Surface, photographs: Photographs, consistency: PhotoConsistency) -> None:
+    """Raises ScanError if photographs are much more consistent with their positions scaled about the origin."""
+    if consistency.correlation >= _TESTED_CORRELATION:
+        return
+    scored = [(factor, photo_consistency(surface, photographs.scaled(factor))) for factor in _POSITION_SCALES]
+    factor, best = max(scored, key=lambda pair: pair[1].score)
+    if (
+        best.score >= max(_MIN_CONSISTENCY, consistency.score)
+        and 1.0 - best.correlation <= _MAX_ERROR_RATIO * (1.0 - consistency.correlation)
+        and best.coverage >= _MIN_COVERAGE_RATIO * consistency.coverage
+    ):
+        size = np.ptp(surface.vertices, axis=0).tolist()
+        unit = unit_text(size)
+        raise ScanError(
+            f"{photographs.folder}: mesh and poses have different scales: photographs agree on the mesh if the positions of the cameras are "
+            f"multiplied by {factor:g} (agreement {best.score:.2f} against {consistency.score:.2f}); scale the mesh, of "
+            f"{' x '.join(f'{c:.4g}' for c in size)} m{f' ({unit})' if unit else ''}, or the poses"
+        )
+
+
+def _check_depth(surface: Surface, photographs: Photographs) -> bool:
+    """Returns whether most depths agree with the mesh; False also if there are too few.
+
+    Raises:
+        ScanError: the depth images agree on a scale that differs from that of the mesh.
+    """
     ratios = []
     for number in np.unique(np.linspace(0, len(photographs) - 1, _PAIR_COUNT).round().astype(int)).tolist():
         depth = photographs.depth(number)
@@ -157,15 +199,13 @@ def _check_depth_scale(surface: Surface, photographs: Photographs) -> None:
     ratio = np.concatenate(ratios) if ratios else np.zeros(0)
     ratio = ratio[np.isfinite(ratio)]
     if len(ratio) < _MIN_SAMPLES:
-        return
+        return False
+    agreement = float((np.abs(ratio - 1.0) < _DEPTH_TOLERANCE).mean())
     median = float(np.median(ratio))
     spread = float(np.median(np.abs(ratio - median))) / median
-    if (
-        abs(median - 1.0) > _SCALE_TOLERANCE
-        and spread < _MAX_SPREAD
-        and float((np.abs(ratio - 1.0) < _DEPTH_TOLERANCE).mean()) < _DEPTH_TOLERANCE
-    ):
+    if abs(median - 1.0) > _SCALE_TOLERANCE and spread < _MAX_SPREAD and agreement < _DEPTH_TOLERANCE:
         raise ScanError(
             f"{photographs.folder}: in the depth images everything is {median:.3g} times as far as in the mesh; if depths are metric, mesh "
             f"and poses are not: give --unit {median:.4g}; else the unit of the depths is wrong"
         )
+    return agreement > 0.5

@@ -27,6 +27,8 @@ SHEET_ROWS = 4
 """Largest number of photographs of a contact sheet."""
 SHEET_WIDTH_PX = 320
 """Width of an image in it, pixels."""
+USUAL_PSNR = 17.0
+"""PSNR of held-out photographs below which a scene hardly resembles them, dB: scans with correct poses have 19 and more, with wrong ones 14."""
 _C1, _C2 = 0.01**2, 0.03**2
 """Stabilising constants of SSIM for a dynamic range of 1."""
 _SSIM_SIGMA_PX = 1.5
@@ -45,6 +47,15 @@ class ImageSimilarity:
     """Mean structural similarity of luma, 1 = equal."""
     pixels: int
     """Number of compared pixels."""
+
+    def warning(self) -> str:
+        """Returns a warning if the scene hardly resembles its held-out photographs; empty = it does."""
+        if self.psnr >= USUAL_PSNR:
+            return ""
+        return (
+            f"warning: the scene hardly resembles the held-out photographs (PSNR {self.psnr:.1f} dB; {USUAL_PSNR:g} and more are usual): check "
+            "poses, depth scale and intrinsics before you use it"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.transforms import invert
 from gibson_sim.geometry.triangle_meshes import weld
+from gibson_sim_tools.importing.checks.gravity import unit_text
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 
 F64 = NDArray[np.float64]
@@ -18,6 +19,8 @@ I64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 _EDGES = ((0, 1), (1, 2), (2, 0))
+MAX_TRIANGLES = 10_000_000
+"""Largest number of triangles after splitting long edges."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,12 +71,36 @@ def surface_from_mesh(mesh: Mesh) -> Surface:
     return Surface(vertices, triangles, colors)
 
 
+def split_count(surface: Surface, max_length: float) -> int:
+    """Returns about how many triangles ``split_long_edges`` would return."""
+    corners = surface.corners
+    lengths = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
+    return int((np.maximum(lengths[:, 2] / max_length, 1.0) * np.maximum(lengths[:, 0] / max_length, 1.0)).sum())
+
+
+def check_split(surface: Surface, max_length: float) -> None:
+    """Raises ScanError, which names the size of the surface, if ``split_long_edges`` would return too many triangles."""
+    count = split_count(surface, max_length)
+    if count > MAX_TRIANGLES:
+        size = np.ptp(surface.vertices, axis=0).tolist()
+        unit = unit_text(size)
+        raise ScanError(
+            f"the mesh is {' x '.join(f'{c:.4g}' for c in size)} m{f'; {unit}' if unit else ''}: with edges of {max_length:g} m at most, as textures "
+            f"need them, it would have about {count / 1e6:.0f} million triangles, more than {MAX_TRIANGLES / 1e6:.0f}; if poses and mesh have "
+            "another unit than metres, give --unit (`scene texture` also has --longest-edge)"
+        )
+
+
 def split_long_edges(surface: Surface, max_length: float) -> Surface:
     """Returns the surface with all edges at most ``max_length`` metres long.
 
     One photograph textures a triangle, so triangles must be small against the field of view. Each round splits all longer edges at their
     midpoints, in all their triangles, which avoids T-junctions.
+
+    Raises:
+        ScanError: it would have more than ``MAX_TRIANGLES``.
     """
+    check_split(surface, max_length)
     vertices, triangles, colors = surface.vertices, surface.triangles, surface.colors
     while True:
         sorted_ends = np.sort(np.concatenate([triangles[:, edge] for edge in _EDGES]), axis=1)

@@ -19,16 +19,19 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.from_photographs import importing
 from gibson_sim_tools.from_photographs.archive import is_photograph_archive
 from gibson_sim_tools.from_photographs.closed_floor import closed_floor
+from gibson_sim_tools.from_photographs.given_mesh import given_mesh
 from gibson_sim_tools.from_photographs.image_checks import is_truncated
 from gibson_sim_tools.from_photographs.importing import UNSEEN_FLOOR, PhotographImport
 from gibson_sim_tools.from_photographs.inputs import find_inputs, is_photograph_folder
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
 from gibson_sim_tools.from_photographs.stages import RECORD, Stage, StagedJob
 from gibson_sim_tools.photographs.layouts import open_photographs
-from gibson_sim_tools.scanning.coloured_mesh import transformed
+from gibson_sim_tools.scanning.coloured_mesh import transformed, write_ply
 from gibson_sim_tools.scanning.fusion import Fusion
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
+from gibson_sim_tools.texturing.conventions import resolve_convention
+from gibson_sim_tools.texturing.evaluation import ImageSimilarity
 from gibson_sim_tools.texturing.surface import surface_from_mesh
 from support.photographed_room import (
     COUNT,
@@ -344,6 +347,84 @@ def test_a_mesh_with_other_axes_than_the_poses_is_rotated(tmp_path):
     assert "turned from y up to z up" in text
     fused = job._read_mesh("import/fused.ply")
     np.testing.assert_allclose(np.ptp(fused.vertices, axis=0), [4.0, 3.0, 2.4], atol=1e-5)
+
+
+@pytest.mark.parametrize("convention", ["auto", "opencv"])
+def test_poses_in_another_convention_are_converted_beside_a_mesh(tmp_path, convention):
+    folder = write_nerfstudio(tmp_path / "photographs")
+    write_mesh(folder / "mesh.ply", np.eye(4))
+    file = folder / "transforms.json"
+    values = json.loads(file.read_text())
+    for frame, T in zip(values["frames"], room_poses(), strict=True):
+        frame["transform_matrix"] = T.tolist()
+    file.write_text(json.dumps(values))
+    job = replace(opened(folder, tmp_path / "out"), pose_convention=convention)
+    (tmp_path / "out").mkdir()
+    lines = job._load_mesh(lambda part: None)
+    np.testing.assert_allclose(job._read("fused")["T_scan_camera"], room_poses(), atol=1e-9)
+    assert (convention == "opencv") == (len(lines) == 1)
+    assert convention == "opencv" or lines[1].startswith("poses are read as opencv: ")
+    with pytest.raises(ScanError, match=r"agree if poses are read as opencv .* give --pose-convention opencv, or auto"):
+        replace(job, pose_convention="as-read")._load_mesh(lambda part: None)
+
+
+def test_a_mesh_that_is_shown_in_another_convention_only_is_not_refused(tmp_path):
+    folder = write_nerfstudio(tmp_path / "photographs")
+    # Half of the room: cameras that look the other way see nothing of it.
+    mesh = room_mesh()
+    is_ahead = mesh.vertices[mesh.triangles].mean(axis=1)[:, 1] > 1.0
+    write_ply(folder / "mesh.ply", replace(mesh, triangles=mesh.triangles[is_ahead]))
+    photographs = open_photographs(folder)
+    ahead = photographs.subset([k for k, T in enumerate(photographs.poses) if T[1, 2] > 0.5])
+    turned = ahead.with_poses(ahead.poses @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    with pytest.raises(ScanError, match=r"mesh.ply: fills -?\d+ % of the photographs"):
+        given_mesh(folder / "mesh.ply", turned, "as-read")
+    assert given_mesh(folder / "mesh.ply", turned, "auto").convention == "opencv"
+    assert given_mesh(folder / "mesh.ply", ahead, "auto").convention == "as-read"
+
+
+def test_a_mesh_in_millimetres_is_refused_before_it_is_split(tmp_path):
+    folder = write_nerfstudio(tmp_path / "photographs")
+    write_mesh(folder / "mesh.ply", np.diag([1000.0, 1000.0, 1000.0, 1.0]))
+    with pytest.raises(ScanError, match=r"the mesh is 4000 x 3000 x 2400 m; in mm it would be a room or a building"):
+        opened(folder, tmp_path / "out")._load_mesh(lambda part: None)
+
+
+def test_poses_of_another_scale_than_the_mesh_are_named(tmp_path):
+    photographs = open_photographs(write_nerfstudio(tmp_path / "photographs"))
+    poses = T_FIRST_WORLD @ photographs.poses
+    surface = surface_from_mesh(load_mesh(write_mesh(tmp_path / "mesh.ply"), [tmp_path]))
+    photographs = photographs.with_poses(poses)
+    assert resolve_convention(surface, photographs, "auto")[1] == ""
+    with pytest.raises(
+        ScanError, match=r"if the positions of the cameras are multiplied by 10 .* scale the mesh, of 4 x 2.4 x 3 m, or"
+    ):
+        resolve_convention(surface, photographs.scaled(0.1), "auto")
+
+
+def test_a_scene_that_hardly_resembles_its_photographs_is_a_warning():
+    assert ImageSimilarity(22.0, 0.8, 100).warning() == ""
+    assert (
+        ImageSimilarity(14.2, 0.58, 100)
+        .warning()
+        .startswith("warning: the scene hardly resembles the held-out photographs (PSNR 14.2 dB")
+    )
+
+
+def test_options_of_the_camera_reach_the_photographs(tmp_path):
+    folder, output = write_rgbd(tmp_path / "phone"), tmp_path / "out"
+    inputs = find_inputs(
+        folder, None, fuse=False, longest_side=0, excluded=output, focal=(50.0, 51.0, 30.0, 20.0), depth_scale=500.0
+    )
+    assert inputs.rgbd is not None and inputs.rgbd.intrinsics == Intrinsics(64, 48, 50.0, 51.0, 30.0, 20.0)
+    assert inputs.rgbd.depth_scale == inputs.photographs.items[0].depth_scale == 500.0
+    polycam = write_polycam(tmp_path / "polycam")
+    inputs = find_inputs(polycam, None, fuse=False, longest_side=0, excluded=output, depth_scale=500.0)
+    assert inputs.rgbd is not None and inputs.rgbd.depth_scale == 500.0
+    with pytest.raises(
+        ScanError, match=r"its layout \(polycam\) holds the intrinsics of each photograph; leave out --intrinsics"
+    ):
+        find_inputs(polycam, None, fuse=False, longest_side=0, excluded=output, focal=(50.0, 51.0, 30.0, 20.0))
 
 
 def test_a_mesh_that_no_photograph_shows_is_refused(tmp_path):

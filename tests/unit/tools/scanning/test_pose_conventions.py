@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -60,8 +62,49 @@ def test_a_requested_wrong_convention_is_refused(room: PosedRgbd) -> None:
         found(room, "opengl")
 
 
-def test_poses_that_are_consistent_in_no_convention_stay_as_read(room: PosedRgbd) -> None:
-    assert found(room.with_poses(np.roll(room.poses, COUNT // 2 - 1, axis=0)[::-1])) == ("as-read", "")
+@pytest.mark.parametrize("convention", ["as-read", "auto"])
+def test_poses_that_are_consistent_in_no_convention_are_refused(room: PosedRgbd, convention: str) -> None:
+    with pytest.raises(
+        ScanError, match=r"agree in no convention \(0\.\d\d of the pixels; 0.8 and more are usual\): check the depth scale"
+    ):
+        found(room.with_poses(np.roll(room.poses, COUNT // 2 - 1, axis=0)[::-1]), convention)
+
+
+def test_noisy_poses_are_fused_with_a_warning(room: PosedRgbd) -> None:
+    poses = room.poses
+    poses[:, :3, 3] += np.random.default_rng(0).normal(0.0, 0.05, (COUNT, 3))
+    name, text = found(room.with_poses(poses))
+    assert name == "as-read" and text.startswith("warning: neighbouring depth images agree poorly (0.")
+
+
+@pytest.mark.parametrize(("present", "right"), [(5000.0, "1000"), (200.0, "1000"), (100.0, "1000")])
+def test_the_right_depth_scale_is_named(room: PosedRgbd, present: float, right: str) -> None:
+    with pytest.raises(ScanError, match=f"they agree with a depth scale of {right} units per metre instead of {present:g} "):
+        found(replace(room, depth_scale=present))
+
+
+def test_poses_in_millimetres_are_named(room: PosedRgbd) -> None:
+    poses = room.poses
+    poses[:, :3, 3] *= 1000.0
+    with pytest.raises(ScanError, match=r"positions of the cameras are in millimetres .* neighbouring cameras are 364 m apart"):
+        found(room.with_poses(poses))
+
+
+def test_depth_images_without_depth_are_named(room: PosedRgbd, tmp_path: Path) -> None:
+    file = tmp_path / "empty.png"
+    cv2.imwrite(str(file), np.zeros((48, 64), dtype=np.uint16))
+    empty = replace(room, files=tuple(replace(files, depth=file) for files in room.files))
+    with pytest.raises(ScanError, match="hold no depth: all pixels of the 11 that were read are 0 or 65535"):
+        found(empty)
+
+
+def test_depths_beyond_the_limit_are_named(room: PosedRgbd) -> None:
+    with pytest.raises(ScanError, match=r"most depths are beyond --depth-max 0\.5"):
+        detect_convention(room, range(len(room)), 0.5)
+
+
+def test_frames_that_look_in_different_directions_are_not_judged(room: PosedRgbd) -> None:
+    assert found(room.subset([0, 6])) == ("as-read", "")
 
 
 def test_frames_without_rotation_do_not_distinguish_conventions(room: PosedRgbd) -> None:

@@ -88,6 +88,23 @@ def test_depth_images_reveal_another_scale_of_mesh_and_poses(taken):
     resolve_convention(wall.surface, photographs)
 
 
+def without_depth(photographs):
+    return replace(photographs, items=tuple(replace(item, depth=None) for item in photographs.items))
+
+
+def test_photographs_that_agree_poorly_are_used_with_a_warning(taken):
+    wall, photographs = taken
+    wrong = without_depth(photographs).with_poses(photographs.poses[[3, 5, 0, 4, 1, 2]])
+    _, text = resolve_convention(wall.surface, wrong)
+    assert text.startswith("warning: photographs agree poorly on the mesh (agreement 0.")
+
+
+def test_depths_that_agree_with_the_mesh_outweigh_photographs_that_do_not(taken):
+    wall, photographs = taken
+    grey = replace(photographs, items=tuple(replace(item, file=photographs.items[0].file) for item in photographs.items))
+    assert resolve_convention(wall.surface, grey)[1] == ""
+
+
 def test_selected_photographs_cover_the_wall(taken):
     wall, photographs = taken
     # Three times the same view from the left, one from the right: of two, each side is one.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 from gibson_sim_tools.texturing import rasteriser
 from gibson_sim_tools.texturing.rasteriser import barycentric, perspective_correct_weights, rasterise, rasterise_2d
-from gibson_sim_tools.texturing.surface import Surface, face_adjacency, project, split_long_edges
+from gibson_sim_tools.texturing.surface import Surface, face_adjacency, project, split_count, split_long_edges
 from gibson_sim_tools.texturing.visibility import depth_consistent, visible_faces
 
 CAMERA = Intrinsics(101, 81, 100.0, 100.0, 50.0, 40.0)
@@ -27,6 +28,18 @@ def surface(*squares: tuple[list[list[float]], list[list[int]]]) -> Surface:
     vertices = np.concatenate([np.array(v) for v, _ in squares])
     triangles = np.concatenate([np.array(t) + 4 * k for k, (_, t) in enumerate(squares)])
     return Surface(vertices, triangles)
+
+
+def test_splitting_is_limited_and_names_the_unit():
+    corners = 4000.0 * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.7]])
+    large = Surface(corners, np.array([[0, 1, 2], [0, 1, 3]]))
+    with pytest.raises(
+        ScanError,
+        match=r"the mesh is 4000 x 4000 x 2800 m; in mm it would be a room .* about \d+ million triangles, more than 10",
+    ):
+        split_long_edges(large, 0.25)
+    small = Surface(corners / 1000.0, large.triangles)
+    assert split_count(small, 0.25) == pytest.approx(len(split_long_edges(small, 0.25).triangles), rel=0.7)
 
 
 def test_a_point_is_where_the_pinhole_projects_it():

@@ -28,7 +28,7 @@ from gibson_sim_tools.importing.checks.facts import (
     scene_geometry,
 )
 from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
-from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
+from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_up, unit_text
 from gibson_sim_tools.importing.checks.islands import islands
 from gibson_sim_tools.importing.checks.splats import MAX_SPLAT_DISTANCE, splat_distance
 from gibson_sim_tools.importing.document import ASSETS
@@ -160,13 +160,9 @@ def _unit(facts: SceneFacts) -> Iterator[SceneFinding]:
     if facts.unit == "m":
         return
     size = " x ".join(f"{s:.4g}" for s in facts.size)
-    guess = (
-        f"in {facts.unit} it would be a room or a building"
-        if facts.unit
-        else f"it is not the size of a room in any of {', '.join(UNITS)}"
-    )
     yield SceneFinding(
-        "not-metres", "warning", f"it is {size} m; {guess}", f"--fix --unit {facts.unit or 'UNIT'} scales it; or give unit_m in scene.yaml",
+        "not-metres", "warning", f"it is {size} m; {unit_text(facts.size)}",
+        f"--fix --unit {facts.unit or 'UNIT'} scales it; or give unit_m in scene.yaml",
         bool(facts.unit),
     )  # fmt: skip
 

@@ -227,6 +227,14 @@ def rotation_to_z(up: Sequence[float]) -> F64:
     return np.asarray(np.eye(3) + sine * k + (1.0 - cosine) * (k @ k))
 
 
+def unit_text(size: Sequence[float]) -> str:
+    """Returns which unit would make a scene of this size (x, y, z), metres, a room or a building, as text; empty = metres do."""
+    unit = guess_unit(size)
+    if unit == "m":
+        return ""
+    return f"in {unit} it would be a room or a building" if unit else f"it is not the size of a room in any of {', '.join(UNITS)}"
+
+
 def guess_unit(size: Sequence[float]) -> str:
     """Returns the unit, a key of ``UNITS``, in which a scene of this size (x, y, z) has the size of a room or a building; "" = none.
 
