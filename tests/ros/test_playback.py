@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -72,17 +71,22 @@ def _until_ended(listener: Listener, playing: Launched) -> None:
 
 
 def test_all_messages_arrive_in_order_at_the_recorded_distances(listener: Listener, play: Callable[..., Launched]) -> None:
-    arrivals: list[tuple[float, str]] = []
-    listener.node.create_subscription(String, "/text", lambda msg: arrivals.append((time.monotonic(), msg.data)), DEEP)
+    sent: list[tuple[float, str]] = []
+    """When each text was published, s, and the text."""
+
+    def on_text(msg: String, info: Any) -> None:
+        sent.append((info["source_timestamp"] / NS, msg.data))
+
+    listener.node.create_subscription(String, "/text", on_text, DEEP)
     took = {}
     for rate in (1.0, 4.0):
-        arrivals.clear()
+        sent.clear()
         playing = play("--rate", f"{rate:g}", "--wait-for", "/text")
         _until_ended(listener, playing)
-        listener.spin_until(lambda: len(arrivals) >= COUNT, "texts")
-        assert [text for _, text in arrivals] == [str(number) for number in range(COUNT)]
+        listener.spin_until(lambda: len(sent) >= COUNT, "texts")
+        assert [text for _, text in sent] == [str(number) for number in range(COUNT)]
         assert any(line.startswith(f"played {2 * COUNT + 1} messages in ") for line in playing.lines), playing.lines
-        took[rate] = arrivals[-1][0] - arrivals[0][0]
+        took[rate] = sent[-1][0] - sent[0][0]
     assert took[1.0] > 1.5 and took[4.0] > 0.375, "a slow machine takes longer, never less"
     assert took[4.0] < took[1.0]
 
@@ -102,6 +106,22 @@ def test_publishers_have_the_recorded_qos_and_a_latched_message_reaches_a_late_s
     assert any("the bag's own /clock is not played" in line for line in playing.lines)
     assert playing.stop() == 0, "a loop ends with Ctrl-C"
     assert playing.lines[-1].startswith("stopped at "), playing.lines
+
+
+def test_playback_waits_for_the_required_subscribers_and_names_them(listener: Listener, play: Callable[..., Launched]) -> None:
+    texts = listener.collect(String, "/text", DEEP)
+    playing = play("--topics", "/text", "/room", "--rate", "4", "--wait-for", "/text", "room:2")
+    playing.wait_for_line("INFO waiting for 2 subscribers of /room")
+    others = [listener.collect(String, "/room", LATCHED) for _ in range(2)]
+    assert not texts
+    _until_ended(listener, playing)
+    listener.spin_until(lambda: len(texts) == COUNT and all(others), "all messages, from the first")
+
+
+def test_subscriber_that_is_required_on_a_topic_that_is_not_played_is_refused(play: Callable[..., Launched]) -> None:
+    playing = play("--wait-for", "/nosuch", "--exclude-topics", "/weak")
+    assert playing.wait() == 1
+    assert playing.lines[-1] == "error: --wait-for has /nosuch, which is not played; played are /room, /text"
 
 
 def test_clock_has_the_time_of_the_bag(listener: Listener, play: Callable[..., Launched]) -> None:

@@ -33,8 +33,6 @@ class PlayedTopic:
     type_name: str
     qos: TopicQos
     """QoS of its publisher."""
-    count: int
-    """Number of messages in the bag."""
 
     @property
     def is_latched(self) -> bool:
@@ -79,7 +77,7 @@ def select_topics(bag: BagReader, options: PlayOptions) -> tuple[PlayedTopic, ..
     names = {_known(old, infos, "--remap", options.bag): new for old, new in options.remapped().items()}
     profiles = bag.offered_qos()
     played = tuple(
-        PlayedTopic(name, names.get(name, name), infos[name].type_name, playback_qos(profiles[name]), infos[name].count)
+        PlayedTopic(name, names.get(name, name), infos[name].type_name, playback_qos(profiles[name]))
         for name in sorted(set(requested) - excluded)
         if infos[name].count
     )

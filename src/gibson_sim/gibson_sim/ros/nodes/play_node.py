@@ -103,9 +103,9 @@ class BagPlayer(Node):
             _say("stopped before the first message")
             return interrupts.INTERRUPTED
         self._check_other_publishers()
-        options, count, reached_s = self._options, sum(topic.count for topic in self._topics), 0.0
+        options, reached_s = self._options, 0.0
         rate = "" if options.rate == 1.0 else f" at {options.rate:g} times the recorded speed"
-        _say(f"playing {options.bag}: {self._span.seconds:.1f} s, {count} messages on {len(self._topics)} topics{rate}")
+        _say(f"playing {options.bag}: {self._span.seconds:.1f} s, {len(self._topics)} topics{rate}")
         start = time.monotonic()
         with _Keys() as keys, progress_bar("playing") as advance:
             while is_running():

@@ -75,6 +75,6 @@ class WaitCondition:
             raise GibsonSimError(f"waited {self._timeout_s:g} s for {awaited}{self._remedy}")
         if not self._logged and waited_s > LOG_AFTER_S:
             self._logged = True
-            limit = f"at most {self._timeout_s:g} s, " if self._timeout_s else ""
-            self._node.get_logger().info(f"waiting, {limit}for {awaited}{self._remedy}")
+            limit = f", at most {self._timeout_s:g} s," if self._timeout_s else ""
+            self._node.get_logger().info(f"waiting{limit} for {awaited}{self._remedy}")
         return False
