@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from gibson_sim.cli.command_line import run
@@ -15,6 +17,15 @@ def test_a_mistyped_name_gets_the_nearest_one_and_the_command_that_lists_all_in_
     text = "is neither a file nor a built-in model; did you mean 'bottle_water'? `gibson-sim spawn --list` lists all of them"
     assert error.value.public == text
     assert str(error.value) == f"bottle_watr: {text}"
+
+
+def test_spawn_gets_only_its_own_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[str] = []
+    monkeypatch.setattr("gibson_sim.cli.commands.ros_tools.require_nodes", lambda: None)
+    monkeypatch.setattr("gibson_sim.cli.commands.ros_tools.become", lambda module, words, environment: given.extend(words))
+    with pytest.raises(TypeError):  # the real one does not return
+        run(["spawn", "person", "--at", "4,5"])
+    assert json.loads(given[0]) == {"command": "spawn", "uri": "person", "at": [4.0, 5.0, 0.0], "name": ""}
 
 
 def test_spawn_lists_all_built_in_models(capsys: pytest.CaptureFixture[str]) -> None:

@@ -124,7 +124,13 @@ class _ListModels(argparse.Action):
 def _add_verbs(subparsers: Any) -> None:
     spawn = subparsers.add_parser("spawn", help="spawn an object or a robot of the catalogue in the running simulation")
     spawn.add_argument("uri", metavar="MODEL", help="name or URI, such as bottle_water")
-    spawn.add_argument("--list", action=_ListModels, nargs=0, help="print the names of all built-in models, and exit")
+    spawn.add_argument(
+        "--list",
+        action=_ListModels,
+        nargs=0,
+        default=argparse.SUPPRESS,  # no argument of the tool
+        help="print the names of all built-in models, and exit",
+    )
     spawn.add_argument("--at", type=_place, required=True, metavar="X,Y[,YAW]", help=_PLACE)
     spawn.add_argument("--name", default="", help="name of the entity (default: that of the model)")
     _finish(spawn, "spawn")
@@ -150,7 +156,7 @@ def _add_verbs(subparsers: Any) -> None:
 
 def _finish(parser: argparse.ArgumentParser, command: str) -> None:
     """Adds the network options to the parser of a command."""
-    given = [action.dest for action in parser._actions if action.dest != "help"]
+    given = [action.dest for action in parser._actions if action.default is not argparse.SUPPRESS]
     add_network(parser)
     parser.set_defaults(run=lambda args: _become(args, command, given))
 
