@@ -103,9 +103,9 @@ class BagPlayer(Node):
             _say("stopped before the first message")
             return interrupts.INTERRUPTED
         self._check_other_publishers()
-        options, reached_s = self._options, 0.0
+        options, number, reached_s = self._options, len(self._topics), 0.0
         rate = "" if options.rate == 1.0 else f" at {options.rate:g} times the recorded speed"
-        _say(f"playing {options.bag}: {self._span.seconds:.1f} s, {len(self._topics)} topics{rate}")
+        _say(f"playing {options.bag}: {self._span.seconds:.1f} s, {number} topic{'s' * (number > 1)}{rate}")
         start = time.monotonic()
         with _Keys() as keys, progress_bar("playing") as advance:
             while is_running():
