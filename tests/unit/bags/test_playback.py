@@ -94,7 +94,9 @@ def test_all_topics_with_messages_are_played_except_the_clock(bag: BagReader) ->
 
 
 def test_topics_can_be_named_excluded_and_renamed_without_a_slash(bag: BagReader) -> None:
-    assert _selected(bag, topics=("text", "/map"), exclude_topics=("/map",), remap=("/text:=words",)) == {"/text": "/words"}
+    assert _selected(bag, topics=("text", "/map"), exclude_topics=("/map", "/clock"), remap=("/text:=words",)) == {
+        "/text": "/words"
+    }
 
 
 @pytest.mark.parametrize(
@@ -202,6 +204,15 @@ def test_latched_messages_that_are_valid_at_the_start_come_first(bag: BagReader)
         (105.0, "/map", "map 105"),
         (105.0, "/text", "105"),
     ]
+
+
+def test_latched_topic_that_keeps_all_begins_with_all(tmp_path: Path, messages: Any) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as writer:
+        writer.add_topic("/notes", STRING, TopicQos(history="keep_all", depth=1, durability="transient_local"))
+        for second in range(1, 5):
+            writer.write("/notes", messages.text(str(second)), second * NS, second * NS)
+    with BagReader(tmp_path / "bag") as reader:
+        assert [(time, text) for time, _, text in _played(reader, start_offset=2.0)] == [(3, "1"), (3, "2"), (3, "3"), (4, "4")]
 
 
 def test_clock_precedes_messages_of_its_time_and_ends_with_the_last(bag: BagReader) -> None:

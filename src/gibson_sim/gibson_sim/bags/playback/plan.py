@@ -73,7 +73,9 @@ def select_topics(bag: BagReader, options: PlayOptions) -> tuple[PlayedTopic, ..
     """
     infos = {name: info for name, info in bag.topics().items() if name != CLOCK}
     requested = [_known(topic, infos, "--topics", options.bag) for topic in options.topics] or list(infos)
-    excluded = {_known(topic, infos, "--exclude-topics", options.bag) for topic in options.exclude_topics}
+    # Other players play the bag's /clock unless it is excluded: it may be named here, too.
+    others = [topic for topic in options.exclude_topics if full_name(topic) != CLOCK]
+    excluded = {_known(topic, infos, "--exclude-topics", options.bag) for topic in others}
     names = {_known(old, infos, "--remap", options.bag): new for old, new in options.remapped().items()}
     profiles = bag.offered_qos()
     played = tuple(
@@ -82,8 +84,8 @@ def select_topics(bag: BagReader, options: PlayOptions) -> tuple[PlayedTopic, ..
         if infos[name].count
     )
     if not played:
-        others = ", ".join(name for name, info in infos.items() if info.count) or "none"
-        raise ConfigError(f"nothing of bag {options.bag} is selected: topics with messages, apart from {CLOCK}, are {others}")
+        filled = ", ".join(name for name, info in infos.items() if info.count) or "none"
+        raise ConfigError(f"nothing of bag {options.bag} is selected: topics with messages, apart from {CLOCK}, are {filled}")
     by_target: dict[str, PlayedTopic] = {}
     for topic in played:
         other = by_target.setdefault(topic.published_as, topic)
@@ -187,7 +189,10 @@ def messages_in_order(
 
 def _latched_before(bag: BagReader, topics: Sequence[PlayedTopic], start_ns: int) -> list[tuple[str, bytes]]:
     """Returns topic and data of the latched messages before a time that a late subscriber would still have received then, in order."""
-    queues = {topic.name: deque[tuple[int, bytes]](maxlen=topic.qos.depth) for topic in topics if topic.is_latched}
+    latched = {topic.name: topic.qos for topic in topics if topic.is_latched}
+    queues = {
+        name: deque[tuple[int, bytes]](maxlen=qos.depth if qos.history == "keep_last" else None) for name, qos in latched.items()
+    }
     if start_ns <= bag.span_ns[0] or not queues:
         return []
     for number, (topic, _, data) in enumerate(bag.raw_messages(queues, stop_ns=start_ns)):
