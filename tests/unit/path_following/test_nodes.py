@@ -407,12 +407,15 @@ class Pairs:
     def __init__(self, context: Any, **options: Any) -> None:
         self.node, self.stamps, self.lines = Node("pairs", context=context), list[int](), list[str]()
         self.node.get_logger().warning = lambda text, **_: self.lines.append(text)
+        self.now_ns = 0
+        self.node.get_clock = lambda: SimpleNamespace(now=lambda: Time(nanoseconds=self.now_ns))
         values = {"image_topics": ("front/image_raw", "back/image_raw"), "use_camera_info": False, **options}
         self.input = camera_input.CameraInput(
             self.node, CameraOptions(**values), "fisheye_pair", (32, 32), 3.0, lambda stamp, _: self.stamps.append(stamp), list
         )
 
     def see(self, name: str, stamp_ns: int) -> None:
+        self.now_ns = stamp_ns
         msg = Image(height=32, width=32, encoding="mono8", step=32, data=bytes(32 * 32))
         msg.header.stamp = conversions.time_msg(stamp_ns)
         self.input._on_image(name, f"{name}/image_raw", msg)
@@ -437,7 +440,19 @@ def test_a_pair_that_is_never_taken_at_the_same_time_is_one_line(context: Any, w
         pairs.see("back", wall.ns + NS // 20)
     assert pairs.stamps == []
     line = "the images of front and back are 50 ms apart by their stamps, sync_tolerance allows 20 ms; trigger the cameras at the same"
-    assert pairs.lines and pairs.lines[0].startswith(line)
+    assert pairs.lines and all(each.startswith(line) for each in pairs.lines)
+    pairs.node.destroy_node()
+
+
+def test_a_camera_of_a_pair_that_died_is_one_line(context: Any, wall: Any) -> None:
+    pairs = Pairs(context)
+    for k in range(40):
+        wall.ns += NS // 10
+        pairs.see("front", wall.ns)
+        if k < 10:
+            pairs.see("back", wall.ns)
+    assert len(pairs.stamps) == 5  # of 10 in a second
+    assert pairs.lines and set(pairs.lines) == {"images come from front, but not from back; do all cameras run?"}
     pairs.node.destroy_node()
 
 

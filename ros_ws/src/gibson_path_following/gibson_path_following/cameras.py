@@ -221,6 +221,11 @@ class ViewAssembler(Generic[_Image]):
         return view[0][0], tuple(image for _, image in view)
 
     @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the cameras without an image that waits for the others."""
+        return tuple(name for name, images in self._waiting.items() if not images)
+
+    @property
     def gap_ns(self) -> int | None:
         """Smallest difference between the stamps of images of two cameras that are in no view, ns; None = one of them has none."""
         gaps = [abs(a - b) for one, other in itertools.combinations(self._waiting.values(), 2) for a, _ in one for b, _ in other]

@@ -210,10 +210,15 @@ class CameraInput:
 
     def _warn_unless_complete(self) -> None:
         """Warns if the images of a pair have not made a view for a while."""
-        gap_ns = self._assembler.gap_ns
-        if gap_ns is not None and time.monotonic_ns() - self._assembled_ns >= _PATIENCE_NS:
+        if time.monotonic_ns() - self._assembled_ns < _PATIENCE_NS:
+            return
+        missing, gap_ns = self._assembler.missing, self._assembler.gap_ns
+        if gap_ns is None:
+            others = " and ".join(name for name in IMAGES_OF[self._kind] if name not in missing)
+            self.problem = f"images come from {others}, but not from {' and '.join(missing)}; do all cameras run?"
+        else:
             self.problem = (
                 f"the images of {' and '.join(IMAGES_OF[self._kind])} are {gap_ns / 1e6:.0f} ms apart by their stamps, sync_tolerance allows "
                 f"{self._options.sync_tolerance * 1e3:g} ms; trigger the cameras at the same time, or set a larger sync_tolerance"
             )
-            self._node.get_logger().warning(self.problem, throttle_duration_sec=5.0)
+        self._node.get_logger().warning(self.problem, throttle_duration_sec=5.0)

@@ -6,6 +6,7 @@ from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Joy
@@ -25,6 +26,8 @@ from gibson_path_following.types import STOP, RecordedPath, Velocity, View
 
 JOY_TIMEOUT_S = 0.5
 """Age of the newest ``joy`` from which the dead man's switch counts as released, seconds."""
+_STOP_TIMEOUT = Duration(seconds=0.5)
+"""Time that the last stop may take to arrive at reliable subscribers."""
 _REST_NS = 1_000_000_000
 """Time for which stops are sent after the end of the path, ns; then other nodes may drive."""
 
@@ -268,8 +271,9 @@ class PathPolicyNode(LifecycleNode):
             self.get_logger().info(f"state: {state}")
 
     def stop(self) -> None:
-        """Stops the robot."""
+        """Stops the robot; returns when the stop has arrived."""
         self._halt()
+        self._cmd_pub.wait_for_all_acked(_STOP_TIMEOUT)  # the process may end at once
 
 
 def main(args: list[str] | None = None) -> None:
