@@ -15,7 +15,7 @@ from gibson_path_following.cameras import Calibration, ViewAssembler, ViewCamera
 from gibson_path_following.errors import PathFollowingError, SettingError
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.image_watch import ImageWatch
-from gibson_path_following.options import CameraOptions, check_camera
+from gibson_path_following.options import PINHOLE_HFOV_DEG, CameraOptions, check_camera
 from gibson_path_following.types import IMAGES_OF, CameraKind, Image, View
 
 _QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -164,6 +164,11 @@ class CameraInput:
                 raise SettingError(
                     f"camera_info: the camera sees {math.degrees(hfov or 0.0):.1f} degrees, as much to the left as to the right, must see "
                     f"{math.degrees(_MIN_HFOV):g} or more; calibrate it"
+                )
+            if self._kind == "pinhole" and hfov > math.radians(PINHOLE_HFOV_DEG[1]):
+                raise SettingError(
+                    f"the camera sees {math.degrees(hfov):.0f} degrees, a pinhole camera of a path at most {PINHOLE_HFOV_DEG[1]:g}; set hfov_deg, to "
+                    "120 for example"
                 )
             self.hfov = hfov
         if name not in self._cameras:
