@@ -503,6 +503,26 @@ def test_a_misspelt_parameter_is_warned_of_and_those_of_ros_are_not(
 PROGRAMS = ("path_recorder", "path_localiser", "path_policy", "path_evaluator", "camera_faults", "goggles")
 
 
+def test_an_activation_that_fails_ends_the_node_with_autostart(context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PathPolicyNode, "on_activate", lambda *_: TransitionCallbackReturn.FAILURE)
+    with pytest.raises(PathFollowingError, match="path_policy cannot be activated"):
+        Driven(context, folder)
+
+
+def test_a_transition_that_raises_stops_the_robot(context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PathPolicyNode, "on_deactivate", lambda *_: 1 // 0)
+    driven = Driven(context, folder)
+    driven.begin()
+    driven.node.trigger_deactivate()
+    assert driven.sent[-1] == 0.0 and driven.node._input is None and driven.node._state == "inactive"
+    assert driven.lines == ["the transition from active failed; configure and activate path_policy again"]
+    driven.node.trigger_configure()
+    driven.node.trigger_activate()
+    driven.begin()
+    assert driven.sent[-1] > 0.2
+    driven.node.destroy_node()
+
+
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_help_says_what_a_node_does_and_lists_topics_and_parameters(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     module = importlib.import_module(f"gibson_path_following.nodes.{name}")
