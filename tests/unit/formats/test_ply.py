@@ -111,3 +111,10 @@ def test_a_word_that_is_no_number_is_refused_in_one_line(rows: str, message: str
     text = f"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nend_header\n{rows}\n"
     with pytest.raises(MeshError, match=message):
         read_ply_tables(Path("a.ply"), text.encode())
+
+
+def test_an_empty_file_and_a_text_are_named(tmp_path: Path) -> None:
+    with pytest.raises(MeshError, match="is empty: it has no vertices"):
+        _read(tmp_path, ply(faces=[]).replace(b"element vertex 4", b"element vertex 0"))
+    with pytest.raises(MeshError, match=r"it begins with 'hello', must begin with 'ply'"):
+        _read(tmp_path, b"hello")

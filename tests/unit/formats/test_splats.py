@@ -158,3 +158,11 @@ def test_a_splat_without_size_or_that_is_opaque_is_read() -> None:
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(MeshError, match=r"none\.ply: cannot be read: No such file"):
         load_splats(tmp_path / "none.ply")
+
+
+def test_an_spz_without_compression_is_named() -> None:
+    data = gzip.decompress(spz(random_splats(5), 2))
+    with pytest.raises(
+        MeshError, match=r"is an SPZ of version 2 that is not compressed, as such a file must be: compress it with gzip"
+    ):
+        read_splats(Path("a.spz"), data)

@@ -124,12 +124,13 @@ def test_a_finished_stage_is_not_run_again_and_other_settings_are_refused(tmp_pa
     def failing_fuse(arguments: Sequence[str]) -> None:
         ran.append(arguments[1])
         if arguments[1] == "fuse":
+            (tmp_path / "mesh.ply").write_text("a remainder, which `scene fuse` does not overwrite")
             raise ConfigError("no")
 
     with pytest.raises(ConfigError, match="no"):
         make_scan("flat", tmp_path, PairsSettings(), failing_fuse)
     assert make_scan("flat", tmp_path, PairsSettings(), lambda arguments: ran.append(arguments[1])) == tmp_path / "textured"
-    assert ran == ["scan", "fuse", "fuse", "texture"]
+    assert ran == ["scan", "fuse", "fuse", "texture"] and not (tmp_path / "mesh.ply").exists()
     assert (tmp_path / "fuse.done").read_text() == "scene fuse scan --voxel 0.02 --triangles 150000 --output mesh.ply\n"
     with pytest.raises(ConfigError, match=r"scan.done: that stage was run with other settings; give another --folder"):
         make_scan("flat", tmp_path, PairsSettings(frames=60), lambda arguments: ran.append(arguments[1]))

@@ -89,7 +89,9 @@ def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
     """Returns the JSON document and the binary chunk, empty for a text file."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
-            raise MeshError(f"{path}: is not a GLB file (it starts with {quoted(data[:4])}, must be b'glTF')")
+            raise MeshError(
+                f"{path}: is not a GLB file (it begins with {quoted(data[:8].decode('ascii', 'replace'))}, must begin with 'glTF')"
+            )
         document = _json(path, data)
         if not isinstance(document, dict):
             raise MeshError(f"{path}: is not a glTF file: its JSON holds no object")

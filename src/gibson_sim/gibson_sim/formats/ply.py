@@ -166,6 +166,8 @@ def read_ply(path: Path, data: bytes) -> Ply:
         raise MeshError(f"{path}: has no vertices with x, y and z; is it a mesh?")
     face = tables.get("face", {})
     lists = next((face[name] for name in _INDICES if name in face), None)
+    if not len(vertex["x"]):
+        raise MeshError(f"{path}: is empty: it has no vertices; export the mesh again")
     if lists is None or not len(lists[1]):
         raise MeshError(f"{path}: {POINT_CLOUD_ADVICE} ({len(vertex['x'])} points)")
     corners, sizes = np.asarray(lists[0], dtype=np.int64), np.asarray(lists[1], dtype=np.int64)
@@ -224,7 +226,9 @@ def _uvs(ply: Ply) -> F64 | None:
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
     """Returns the byte order ("" = text), the elements, the name of the texture, and the offset of the data, bytes."""
     if not data.startswith(b"ply"):
-        raise MeshError(f"{path}: is not a PLY file (it starts with {quoted(data[:4])}, must be b'ply')")
+        raise MeshError(
+            f"{path}: is not a PLY file (it begins with {quoted(data[:8].decode('ascii', 'replace'))}, must begin with 'ply')"
+        )
     end = data.find(b"end_header", 0, _MAX_HEADER)
     line_end = data.find(b"\n", end)
     if end < 0 or line_end < 0:

@@ -60,6 +60,8 @@ class Splats:
     from the eye to the splat in the frame of the file."""
     up_axis: UpAxis = "z"
     """Up axis of the format; z for PLY, which does not define it."""
+    without_rotation: int = 0
+    """Number of splats whose quaternion in the file has length 0; they have the identity."""
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -154,7 +156,9 @@ def _checked(path: Path, splats: Splats) -> Splats:
     # A quaternion of length 0 is replaced by the identity; the splats of such files are spheres.
     identity = np.array([0.0, 0.0, 0.0, 1.0], dtype=np.float32)
     quats = np.where(lengths > 1e-12, splats.quats_xyzw / np.maximum(lengths, 1e-12), identity).astype(np.float32)
-    return Splats(splats.positions, splats.scales, quats, splats.opacities, splats.sh, splats.up_axis)
+    return Splats(
+        splats.positions, splats.scales, quats, splats.opacities, splats.sh, splats.up_axis, int((lengths <= 1e-12).sum())
+    )
 
 
 def _check_count(path: Path, count: int) -> None:
@@ -373,6 +377,10 @@ def _spz_streams(path: Path, data: bytes) -> tuple[int, int, int, list[NDArray[n
     if len(data) < 32:
         raise MeshError(f"{path}: the SPZ has {len(data)} bytes, its header 32; it is cut")
     version, count = int.from_bytes(data[4:8], "little"), int.from_bytes(data[8:12], "little")
+    if version < 4:
+        raise MeshError(
+            f"{path}: is an SPZ of version {version} that is not compressed, as such a file must be: compress it with gzip"
+        )
     degree, bits, streams, table = data[12], data[13], data[15], int.from_bytes(data[16:20], "little")
     sizes = _spz_sizes(path, version, count, degree)
     at = table + 16 * streams

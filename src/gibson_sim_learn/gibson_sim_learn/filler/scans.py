@@ -74,6 +74,8 @@ def make_scan(scene: str, folder: Path, settings: PairsSettings, run: Callable[[
         # A scan goes on where it was interrupted; the other stages write their output at the end, so what is there is a remainder.
         if stage == "texture":
             shutil.rmtree(output, ignore_errors=True)
+        elif stage == "fuse":
+            output.unlink(missing_ok=True)
         run(arguments)
         write_file(done, line)
     return folder / TEXTURED

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from gibson_sim_tools.cli.photographs import PHOTOGRAPH_OPTIONS, add_photograph_
 
 if TYPE_CHECKING:
     from gibson_sim.formats.mesh import UpAxis
+    from gibson_sim.scenes.spec import SceneSpec
     from gibson_sim_tools.importing.run import ImportOptions
 
 
@@ -84,9 +86,7 @@ def unit_m(text: str | None) -> float | None:
     except ValueError:
         value = 0.0
     if not 1e-6 <= value <= 1e6:
-        raise ConfigError(
-            f"--unit {text}: is unknown; give one of {', '.join(UNITS)}, or metres per unit as a number from 1e-6 to 1e6"
-        )
+        raise ConfigError(f"--unit {text}: must be one of {', '.join(UNITS)}, or metres per unit, a number from 1e-6 to 1e6")
     return value
 
 
@@ -97,21 +97,38 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim_tools.from_photographs.inputs import is_photograph_folder
     from gibson_sim_tools.importing.checks.facts import scene_facts
     from gibson_sim_tools.importing.run import import_scene
+    from gibson_sim_tools.photographs.layouts import check_no_bag, unposed_text
 
     if is_photograph_folder(args.source) or is_photograph_archive(args.source):
         return import_photographs(args, unit_m(args.unit))
+    check_no_bag(args.source)
+    unposed = unposed_text(args.source)
     photograph_options = [
         f"--{name.replace('_', '-')}" for name in PHOTOGRAPH_OPTIONS if getattr(args, name) not in (None, False)
     ]
     if photograph_options:
+        verb, pronoun = ("is", "it") if len(photograph_options) == 1 else ("are", "them")
+        given = ", ".join(photograph_options)
         raise ConfigError(
-            f"{', '.join(photograph_options)}: is for a folder of photographs, which {args.source} is not; leave it out"
+            f"{given}: {verb} for photographs with poses, but the {unposed}; or leave {pronoun} out to import the mesh alone"
+            if unposed
+            else f"{given}: {verb} for a folder of photographs, which {args.source} is not; leave {pronoun} out"
         )
     options = import_options(args)
     imported = import_scene(args.source, args.output, options)
     for warning in imported.warnings:
         print(f"warning: {warning}", file=sys.stderr)
+    if unposed and not _uses_images(imported.scene):
+        print(f"warning: {unposed}", file=sys.stderr)
     print(f"{imported.file}: from a {imported.kind}")
     print(scene_facts(imported.scene).text())
-    print(f"next: gibson-sim scene check {imported.file.parent}; gibson-sim run --scene {imported.file.parent}")
+    folder = shlex.quote(str(imported.file.parent))
+    print(f"next: gibson-sim scene check {folder}; gibson-sim run --scene {folder}")
     return ExitCode.OK
+
+
+def _uses_images(scene: SceneSpec) -> bool:
+    """Returns whether the meshes of a scene have textures, which images beside them may be."""
+    from gibson_sim_tools.importing.checks.facts import scene_geometry, texture_facts
+
+    return bool(texture_facts([mesh for _, mesh in scene_geometry(scene).meshes]))

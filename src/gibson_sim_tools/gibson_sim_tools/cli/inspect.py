@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,7 +62,9 @@ def _report(scene: str) -> SceneReport:
     if path.exists() and "/" in str(path):
         kind = identify(path).kind
         if kind in (SourceKind.GIBSON, SourceKind.REPLICA, SourceKind.USD, SourceKind.ARCHIVE):
-            raise SceneError(f"{scene}: is a {kind.value}; import it first: gibson-sim scene import {scene} --output DIR")
+            raise SceneError(
+                f"{scene}: is a {kind.value}; import it first: gibson-sim scene import {shlex.quote(scene)} --output DIR"
+            )
     return check_path(scene)
 
 
@@ -99,14 +102,26 @@ def _check(args: argparse.Namespace) -> ExitCode:
     if not args.fix:
         _print(report, args.json)
         return ExitCode.OK if report.clean else ExitCode.ERROR
-    from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
+    from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene, has_repairs, left_behind
 
+    fix = FixOptions(scale, args.max_texture, not args.no_level, up)
+    if not has_repairs(report, fix):
+        _print(report, args.json)
+        if not args.json:
+            print("nothing to repair; no copy made")
+        return ExitCode.OK
     if not args.json:
         _print(report, False)
-    file, fixed_report = fix_scene(report, args.output, FixOptions(scale, args.max_texture, not args.no_level, up))
+    file, fixed_report = fix_scene(report, args.output, fix)
     if not args.json:
         unclear = any(finding.what == "up-unclear" for finding in fixed_report.findings)
         print(f"{'the up direction is not clear, so the scene is not rotated' if unclear else 'repaired'}: {file}")
+        missing = left_behind(report.scene.root, file.parent) if report.scene is not None else []
+        if missing:
+            print(
+                f"the copy has another frame, so these are left out: {', '.join(missing)}; `gibson-sim scene map {shlex.quote(str(file.parent))} "
+                "--write` makes maps and free poses anew"
+            )
     _print(fixed_report, args.json)
     return ExitCode.OK if fixed_report.clean else ExitCode.ERROR
 
@@ -145,7 +160,8 @@ def _print(report: SceneReport, as_json: bool) -> None:
     faults = sum(finding.level != "note" for finding in report.findings)
     fixable = sum(finding.fixable and finding.level != "note" for finding in report.findings)
     name = "" if report.facts is None else f"{report.facts.name}: "
-    print(f"{name}{'clean' if report.clean else f'{faults} findings, {fixable} of them repairable by --fix'}")
+    count = f"{faults} finding" if faults == 1 else f"{faults} findings"
+    print(f"{name}{'clean' if report.clean else f'{count}, {fixable} of them repairable by --fix'}")
 
 
 def _print_lines(report: SceneReport) -> None:

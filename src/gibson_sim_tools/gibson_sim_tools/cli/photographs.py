@@ -17,6 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from gibson_sim.bags.progress import progress_bar
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.parser import ExitCode
+from gibson_sim.config import parse_fill
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim_tools.cli.scan import add_camera_options, camera_overrides
@@ -66,7 +67,12 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
     from gibson_sim_tools.from_photographs.stages import StagedJob
     from gibson_sim_tools.importing.checks.gravity import direction
 
-    settings = settings_from_args(PhotographSettings, args)
+    if args.hold_out is not None and (args.hold_out < 0 or args.hold_out == 1):
+        raise ConfigError(f"--hold-out {args.hold_out}: must be 0, or 2 or more, so that some photographs are used")
+    fill, with_depth = parse_fill("--fill", args.fill or "")
+    if with_depth:
+        raise ConfigError(f"--fill {args.fill}: only colours are compared; leave out ',depth'")
+    settings = settings_from_args(PhotographSettings, args, fill=fill)
     if args.mesh is not None and args.fuse:
         raise ConfigError("--mesh names a mesh and --fuse creates one: give one of them")
     output = args.output or Path(f"{args.source.resolve().name.removesuffix('.zip')}_scene")
@@ -95,8 +101,12 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
         print(f"warning: {args.source}: {warning}", file=sys.stderr)
     print(f"{args.source}: " + f"\n{_INDENT}".join(inputs.lines()))
     stages = job.stages()
-    with stage_bars([stage.name for stage in stages], [stage.weight for stage in stages]) as (stage_progress, on_result):
-        job.run(stage_progress, on_result)
+    try:
+        with stage_bars([stage.name for stage in stages], [stage.weight for stage in stages]) as (stage_progress, on_result):
+            job.run(stage_progress, on_result)
+    except KeyboardInterrupt:
+        print("interrupted; the same command resumes", file=sys.stderr)
+        raise
     if settings.hold_out:
         print(f"photographs and re-rendered scene: {output / SHEET}")
     print(f"next: gibson-sim run --scene {shlex.quote(str(output))}")

@@ -94,8 +94,9 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.formats.load_mesh import load_mesh
     from gibson_sim.picture_files import write_picture
     from gibson_sim_tools.cli.importing import unit_m
-    from gibson_sim_tools.from_photographs.image_checks import check_images
+    from gibson_sim_tools.from_photographs.image_checks import check_photographs
     from gibson_sim_tools.photographs.layouts import open_photographs
+    from gibson_sim_tools.scanning.posed_rgbd import ScanError
     from gibson_sim_tools.texturing.conventions import resolve_convention
     from gibson_sim_tools.texturing.evaluation import contact_sheet, evaluate_held_out
     from gibson_sim_tools.texturing.photograph_selection import select_photographs
@@ -118,7 +119,10 @@ def _run(args: argparse.Namespace) -> ExitCode:
     photographs = open_photographs(args.photographs, settings.longest_side, **camera_overrides(args))
     for warning in photographs.warnings:
         print(f"gibson-sim: {photographs.folder}: {warning}", file=sys.stderr)
-    surface = surface_from_mesh(load_mesh(args.mesh, [args.mesh.resolve().parent])).scaled(scale)
+    try:
+        surface = surface_from_mesh(load_mesh(args.mesh, [args.mesh.resolve().parent])).scaled(scale)
+    except ScanError as error:
+        raise ScanError(f"{args.mesh}: {error}") from error
     if split_count(surface, settings.longest_edge) <= MAX_TRIANGLES:
         surface = split_long_edges(surface, settings.longest_edge)
     photographs, text = resolve_convention(surface, photographs.scaled(scale), args.pose_convention)
@@ -128,7 +132,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     if len(photographs) > args.most_photographs:
         with progress_bar(f"selecting {args.most_photographs} of {len(photographs)} photographs") as progress:
             photographs = photographs.subset(select_photographs(surface, photographs, args.most_photographs, progress))
-    check_images([item.file for item in photographs.items])
+    check_photographs(photographs)
     with progress_bar(f"texturing from {len(photographs)} photographs ({photographs.layout})") as progress:
         held_out = range(0, len(photographs), args.hold_out) if args.hold_out else range(0)
         textured = texture_surface(surface, photographs, settings, progress, held_out=held_out)
@@ -137,7 +141,8 @@ def _run(args: argparse.Namespace) -> ExitCode:
         print(line)
     metrics = evaluate_held_out(textured, held_out) if args.hold_out else {}
     for name, similarity in metrics.items():
-        print(f"{len(held_out)} held-out photographs, {name}: PSNR {similarity.psnr:.2f} dB, SSIM {similarity.ssim:.3f}")
+        count = f"{len(held_out)} held-out photograph{'' if len(held_out) == 1 else 's'}"
+        print(f"{count}, {name}: PSNR {similarity.psnr:.2f} dB, SSIM {similarity.ssim:.3f}")
     if args.sheet is not None:
         write_picture(args.sheet, contact_sheet(textured, held_out)[:, :, ::-1])
     if metrics and metrics["texture"].warning():

@@ -28,8 +28,9 @@ from gibson_sim.scenes.load import DESCRIPTION, load_scene
 from gibson_sim.types import Vec3
 from gibson_sim.writing import cannot_write, size_text, write_file
 from gibson_sim_tools.from_photographs.closed_floor import closed_floor
+from gibson_sim_tools.from_photographs.depth_frames import DepthFrames
 from gibson_sim_tools.from_photographs.given_mesh import given_mesh
-from gibson_sim_tools.from_photographs.image_checks import check_images
+from gibson_sim_tools.from_photographs.image_checks import check_photographs
 from gibson_sim_tools.from_photographs.inputs import PhotographInputs
 from gibson_sim_tools.from_photographs.rerendering import FRONTS, HOLES, RenderPhotograph, contact_sheet, photograph_renderer
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
@@ -156,9 +157,11 @@ class PhotographImport:
         return np.arange(0, len(self.inputs.photographs), every) if every else np.zeros(0, dtype=np.int64)
 
     def _check_images(self, progress: Progress) -> Sequence[str]:
-        files = self._files()
-        total = check_images(files, progress)
-        return [f"{len(files)} images are whole, {size_text(total)}"]
+        rgbd = self.inputs.rgbd
+        is_registered = rgbd is not None and not isinstance(rgbd, DepthFrames)
+        depth_size = (rgbd.intrinsics.width, rgbd.intrinsics.height) if rgbd is not None and is_registered else None
+        total = check_photographs(self.inputs.photographs, progress, depth_size)
+        return [f"{len(self._files())} images are whole, {size_text(total)}"]
 
     def _fuse(self, progress: Progress) -> Sequence[str]:
         assert self.inputs.rgbd is not None
@@ -259,7 +262,11 @@ class PhotographImport:
         fewer = len(numbers) < len(self.inputs.photographs)
         return [
             *([f"{len(numbers)} of {len(self.inputs.photographs)} photographs are used"] if fewer else []),
-            *([f"{len(held_out)} photographs are held out ({self._unused_data()})"] if held_out else []),
+            *(
+                [f"{_photographs(len(held_out))} {'is' if len(held_out) == 1 else 'are'} held out ({self._unused_data()})"]
+                if held_out
+                else []
+            ),
             *textured.report.lines(),
         ]
 
@@ -368,8 +375,9 @@ class PhotographImport:
                 "filled": {region: [asdict(one) for one in both] for region, both in filled.items()},
             },
         )
+        count = f"{len(numbers)} held-out photograph{'' if len(numbers) == 1 else 's'}"
         lines = [
-            f"{len(numbers)} held-out photographs ({self._unused_data()}), re-rendered: PSNR {similarity.psnr:.1f} dB, SSIM {similarity.ssim:.2f}, "
+            f"{count} ({self._unused_data()}), re-rendered: PSNR {similarity.psnr:.1f} dB, SSIM {similarity.ssim:.2f}, "
             f"where the scene has a surface ({100.0 * share:.0f} % of their pixels); --hold-out 0 uses them, too"
         ]
         for region, (before, after) in filled.items():
@@ -409,6 +417,10 @@ class PhotographImport:
 
     def _write(self, name: str, values: Any) -> None:
         write_file(self.output / _RECORDS[name], json.dumps(values))
+
+
+def _photographs(count: int) -> str:
+    return f"{count} photograph{'' if count == 1 else 's'}"
 
 
 def _file_state(path: Path) -> tuple[str, int, int]:

@@ -5,6 +5,7 @@ transforms.json, Polycam's raw data, Record3D.
 from __future__ import annotations
 
 import math
+import shlex
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -21,7 +22,7 @@ from gibson_sim_tools.photographs.phone_layouts import find_polycam_folders, fin
 from gibson_sim_tools.photographs.photographs import CameraModel, Photograph, Photographs, without_lost_poses
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd, read_json
 from gibson_sim_tools.scanning.pose_conventions import OPTICAL_OPENGL
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.posed_rgbd import ScanError, intrinsics_of
 
 F64 = NDArray[np.float64]
 
@@ -29,6 +30,8 @@ TRANSFORMS = "transforms.json"
 _COLMAP_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0", "dense/sparse")
 _IMAGE_FOLDERS = ("images", "", "dense/images")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+_MIN_UNPOSED = 5
+"""Least number of JPEG files beside a mesh without textures that are taken for photographs."""
 POSE_PROGRAMS = (
     "COLMAP finds them (colmap automatic_reconstructor), or nerfstudio (ns-process-data), or export them from a scanning app with its poses "
     "(Polycam: raw data; Record3D)"
@@ -77,10 +80,7 @@ def open_photographs(
         camera = CameraModel(rgbd.intrinsics)
         items = tuple(Photograph(f.color, camera, f.T_world_camera, f.depth, rgbd.depth_scale) for f in rgbd.files)
         return Photographs(folder, rgbd.layout, items, longest_side, rgbd.warnings)
-    if is_file(folder / _BAG_FILE):
-        raise ScanError(
-            f"{folder}: is a bag; make photographs with poses of it first: gibson-sim export {folder} DIR --to nerfstudio"
-        )
+    check_no_bag(folder)
     if count_images(folder):
         raise ScanError(f"{folder}: has photographs but no poses; {POSE_PROGRAMS}")
     known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
@@ -90,10 +90,30 @@ def open_photographs(
     )
 
 
+def check_no_bag(folder: Path) -> None:
+    """Raises ScanError, which names the command that exports photographs, if a folder is a bag."""
+    if is_file(folder / _BAG_FILE):
+        raise ScanError(
+            f"{folder}: is a bag; make photographs with poses of it first: gibson-sim export {shlex.quote(str(folder))} DIR --to nerfstudio"
+        )
+
+
+def unposed_text(folder: Path) -> str:
+    """Returns what photographs without poses in a folder need, as text; empty if it holds fewer than ``_MIN_UNPOSED`` JPEG files."""
+    count = sum(p.suffix.lower() in (".jpg", ".jpeg") for p in _files_beside(folder)) if is_folder(folder) else 0
+    return f"{count} photographs in {folder} have no poses and are not used; {POSE_PROGRAMS}" if count >= _MIN_UNPOSED else ""
+
+
+def _files_beside(folder: Path) -> Iterator[Path]:
+    """Yields the files in a folder and its folder ``images``."""
+    for place in (folder, folder / "images"):
+        if is_folder(place):
+            yield from place.iterdir()
+
+
 def count_images(folder: Path) -> int:
     """Returns the number of photographs, with or without poses, in a folder and its folder ``images``."""
-    places = [place for place in (folder, folder / "images") if is_folder(place)]
-    return sum(p.suffix.lower() in _IMAGE_SUFFIXES for place in places for p in place.iterdir())
+    return sum(p.suffix.lower() in _IMAGE_SUFFIXES for p in _files_beside(folder))
 
 
 def _open_with_cameras(folder: Path, longest_side: int) -> Photographs | None:
@@ -167,7 +187,8 @@ def _read_nerfstudio_camera(what: str, values: Mapping[str, Any]) -> CameraModel
         0.5 * width / math.tan(number("camera_angle_x") / 2.0) if "camera_angle_x" in values and "fl_x" not in values else None
     )
     fx = number("fl_x", focal)
-    intrinsics = Intrinsics(
+    intrinsics = intrinsics_of(
+        what,
         int(width),
         int(height),
         fx,
@@ -212,8 +233,10 @@ def _read_colmap(folder: Path, model: Path, longest_side: int) -> Photographs:
         poses = list(_read_images_bin(images_file) if suffix == ".bin" else _read_images_txt(images_file))
     except OSError as error:
         raise ScanError(f"{model}: cannot be read: {error.strerror or error}") from error
-    except (struct.error, ValueError, IndexError) as error:
-        raise ScanError(f"{model}: is not a COLMAP model, or is truncated ({error}); export it again") from error
+    except UnicodeDecodeError as error:
+        raise ScanError(
+            f"{model}: cameras{suffix} or images{suffix} is not a text file of COLMAP; export the model again"
+        ) from error
     items = []
     for quat_wxyz, translation, camera_id, name in poses:
         if camera_id not in camera_models:
@@ -245,36 +268,62 @@ def _colmap_camera(path: Path, model: str, width: int, height: int, parameters: 
     if model in ("SIMPLE_RADIAL", "RADIAL"):
         distortion = [*distortion, 0.0, 0.0, 0.0][:4] if model == "SIMPLE_RADIAL" else [*distortion, 0.0, 0.0]
     return CameraModel(
-        Intrinsics(width, height, fx, fy, cx - _PIXEL_CENTRE, cy - _PIXEL_CENTRE),
+        intrinsics_of(str(path), width, height, fx, fy, cx - _PIXEL_CENTRE, cy - _PIXEL_CENTRE),
         tuple(distortion),
         fisheye=model == "OPENCV_FISHEYE",
     )
 
 
 def _read_cameras_txt(path: Path) -> Iterator[tuple[int, str, int, int, list[float]]]:
-    for line in read_file(path).decode("utf-8").splitlines():
+    for number, line in enumerate(read_file(path).decode("utf-8").splitlines(), 1):
         words = line.split()
-        if words and not words[0].startswith("#"):
-            yield (
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            key, model, width, height, values = (
                 int(words[0]),
                 words[1],
                 int(words[2]),
                 int(words[3]),
-                _check_parameter_count(words[1], [float(w) for w in words[4:]]),
+                [float(w) for w in words[4:]],
             )
+        except (ValueError, IndexError) as error:
+            raise ScanError(
+                f"{path}:{number}: {quoted(line[:80])} must be camera id, model, width, height and parameters; export the model again"
+            ) from error
+        if model in _CAMERA_MODELS and len(values) != _CAMERA_MODELS[model][1]:
+            raise ScanError(
+                f"{path}:{number}: a camera {model} has {len(values)} parameters, must have {_CAMERA_MODELS[model][1]}"
+            )
+        yield key, model, width, height, values
 
 
 def _read_images_txt(path: Path) -> Iterator[tuple[list[float], list[float], int, str]]:
-    lines = [line for line in read_file(path, _MAX_BYTES).decode("utf-8").splitlines() if not line.startswith("#")]
+    lines = enumerate(read_file(path, _MAX_BYTES).decode("utf-8").splitlines(), 1)
     # Every second line holds the feature points of a photograph, and may be empty.
-    for line in lines[::2]:
+    for number, line in [(number, line) for number, line in lines if not line.startswith("#")][::2]:
         words = line.split(maxsplit=9)
-        if words:
+        if not words:
+            continue
+        try:
             yield [float(w) for w in words[1:5]], [float(w) for w in words[5:8]], int(words[8]), words[9].strip()
+        except (ValueError, IndexError) as error:
+            raise ScanError(
+                f"{path}:{number}: {quoted(line[:80])} must be image id, qw qx qy qz, tx ty tz, camera id and file; export the model again"
+            ) from error
 
 
 def _read_cameras_bin(path: Path) -> Iterator[tuple[int, str, int, int, list[float]]]:
     data = read_file(path)
+    try:
+        yield from _cameras_in(data)
+    except struct.error as error:
+        raise ScanError(
+            f"{path}: ends after {len(data)} bytes, within a camera; it is truncated: copy or export it again"
+        ) from error
+
+
+def _cameras_in(data: bytes) -> Iterator[tuple[int, str, int, int, list[float]]]:
     names = {number: name for name, (number, _) in _CAMERA_MODELS.items()}
     offset = 8
     for _ in range(struct.unpack_from("<Q", data)[0]):
@@ -289,6 +338,15 @@ def _read_cameras_bin(path: Path) -> Iterator[tuple[int, str, int, int, list[flo
 
 def _read_images_bin(path: Path) -> Iterator[tuple[list[float], list[float], int, str]]:
     data = read_file(path, _MAX_BYTES)
+    try:
+        yield from _images_in(data)
+    except (struct.error, ValueError) as error:
+        raise ScanError(
+            f"{path}: ends after {len(data)} bytes, within an image; it is truncated: copy or export it again"
+        ) from error
+
+
+def _images_in(data: bytes) -> Iterator[tuple[list[float], list[float], int, str]]:
     offset = 8
     for _ in range(struct.unpack_from("<Q", data)[0]):
         _, *pose, camera = struct.unpack_from("<I7di", data, offset)
@@ -296,9 +354,3 @@ def _read_images_bin(path: Path) -> Iterator[tuple[list[float], list[float], int
         (points,) = struct.unpack_from("<Q", data, end + 1)
         yield pose[:4], pose[4:], camera, data[offset + 64 : end].decode("utf-8")
         offset = end + 9 + 24 * points
-
-
-def _check_parameter_count(model: str, values: list[float]) -> list[float]:
-    if model in _CAMERA_MODELS and len(values) != _CAMERA_MODELS[model][1]:
-        raise ValueError(f"a camera {model} has {len(values)} parameters, must have {_CAMERA_MODELS[model][1]}")
-    return values

@@ -19,7 +19,7 @@ from gibson_sim.reading import is_file, is_folder
 from gibson_sim_tools.photographs.photographs import CameraModel, Photograph, Photographs, without_lost_poses
 from gibson_sim_tools.scanning.layouts import read_json
 from gibson_sim_tools.scanning.pose_conventions import OPTICAL_OPENGL
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.posed_rgbd import ScanError, intrinsics_of
 
 F64 = NDArray[np.float64]
 
@@ -51,8 +51,8 @@ def read_polycam(folder: Path, cameras: Path, images: Path, longest_side: int) -
         values = read_json(path)
         T = np.eye(4)
         T[:3] = [[_read_number(str(path), values, f"t_{row}{column}") for column in range(4)] for row in range(3)]
-        intrinsics = Intrinsics(
-            int(_read_number(str(path), values, "width")), int(_read_number(str(path), values, "height")),
+        intrinsics = intrinsics_of(
+            str(path), int(_read_number(str(path), values, "width")), int(_read_number(str(path), values, "height")),
             _read_number(str(path), values, "fx"), _read_number(str(path), values, "fy"),
             _read_number(str(path), values, "cx") - _PIXEL_CENTRE, _read_number(str(path), values, "cy") - _PIXEL_CENTRE,
         )  # fmt: skip
@@ -83,8 +83,8 @@ def read_record3d(folder: Path, images: Path, longest_side: int) -> Photographs:
         raise ScanError(f"{path}: K has {K.size} numbers, must have 9; is it Record3D's?")
     # Record3D writes K column-major.
     K = K.reshape(3, 3).T
-    intrinsics = Intrinsics(
-        int(_read_number(str(path), values, "w")), int(_read_number(str(path), values, "h")),
+    intrinsics = intrinsics_of(
+        str(path), int(_read_number(str(path), values, "w")), int(_read_number(str(path), values, "h")),
         float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - _PIXEL_CENTRE, float(K[1, 2]) - _PIXEL_CENTRE,
     )  # fmt: skip
     files = sorted((p for p in images.iterdir() if p.suffix.lower() in _IMAGE_SUFFIXES and p.stem.isdigit()), key=_frame_number)

@@ -16,7 +16,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
-_ASPECT_TOLERANCE = 0.02
+ASPECT_TOLERANCE = 0.02
 """Largest relative difference between the aspect ratios of a depth image and its photograph; allows for rounding."""
 
 
@@ -118,7 +118,7 @@ class Photographs:
                 f"{item.depth}: is an image of {units.dtype} with shape {units.shape}; depth must be 16 bit with one channel"
             )
         height, width = units.shape
-        if abs(width * original.height - height * original.width) > _ASPECT_TOLERANCE * width * original.height:
+        if abs(width * original.height - height * original.width) > ASPECT_TOLERANCE * width * original.height:
             raise ScanError(
                 f"{item.depth}: has {width}x{height} pixels, its photograph {original.width}x{original.height}; both must show the same, "
                 "so that their sides must be in proportion"

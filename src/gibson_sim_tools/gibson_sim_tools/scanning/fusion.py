@@ -162,7 +162,7 @@ def _integrate(
     if settings.min_part:
         mesh = without_small_components(mesh, settings.min_part)
     if not len(mesh.triangles):
-        raise ScanError(f"{rgbd.folder}: nothing is left of the mesh; give a smaller --min-weight or --min-part")
+        raise ScanError(f"{rgbd.folder}: nothing is left of the mesh; give `scene fuse` a smaller --min-weight or --min-part")
     return mesh
 
 
@@ -195,7 +195,7 @@ def _extract_mesh(grid: Any, settings: FuseSettings) -> ColouredMesh:
 def _empty_mesh_message(settings: FuseSettings) -> str:
     return (
         f"no surface was seen by {settings.min_weight:g} images or more within {settings.depth_max:g} m; "
-        "give a smaller --min-weight or a larger --depth-max, and check the depth scale and the poses"
+        "give a larger --depth-max, or `scene fuse` a smaller --min-weight, and check the depth scale and the poses"
     )
 
 

@@ -50,8 +50,20 @@ def find_intrinsics(folder: Path, width: int, height: int) -> tuple[Intrinsics |
                 raise ScanError(text if text.startswith(str(path)) else f"{path}: {text}") from error
             warnings.append(f"{name} is not read: {text}; --intrinsics fx,fy,cx,cy says what the camera is")
             continue
+        _check_principal_point(path, found)
         return found, name, tuple(warnings)
     return None, "", tuple(warnings)
+
+
+def _check_principal_point(path: Path, intrinsics: Intrinsics) -> None:
+    """Raises ScanError if the principal point is outside the central half of the image: the file is for images of another size."""
+    size, point = (intrinsics.width, intrinsics.height), (intrinsics.cx, intrinsics.cy)
+    if any(not 0.25 <= c / s <= 0.75 for c, s in zip(point, size, strict=True)):
+        likely = "x".join(str(round(2.0 * c + 1.0)) for c in point)
+        raise ScanError(
+            f"{path}: the principal point is at {point[0]:g}, {point[1]:g} pixels, far from the middle of images of {size[0]}x{size[1]}; are these "
+            f"the intrinsics of images of {likely}? Give those of {size[0]}x{size[1]}, also with --intrinsics fx,fy,cx,cy"
+        )
 
 
 def _candidate_files(folder: Path) -> list[Path]:

@@ -42,6 +42,8 @@ _PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 _SEVEN_SCENES = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 _SEVEN_SCENES_FRAME = re.compile(r"frame-(\d+)\.(color|depth|pose)\.(png|jpg|txt)$")
 _ASSOCIATIONS = ("associations.txt", "associate.txt")
+_PHOTOGRAPH_LAYOUTS = {"transforms.json": "nerfstudio", "keyframes": "polycam", "sparse": "colmap"}
+"""File or folder -> layout of posed photographs that it marks, for messages."""
 _MILLIMETRES, _TUM_SCALE = 1000.0, 5000.0
 
 
@@ -83,6 +85,12 @@ def open_posed_rgbd(
     for layout in LAYOUTS:
         if layout.recognises(folder):
             return layout.read(folder, _Overrides(focal, depth_scale))
+    other = next((name for file, name in _PHOTOGRAPH_LAYOUTS.items() if (folder / file).exists()), "")
+    if other:
+        raise ScanError(
+            f"{folder}: is a folder of photographs ({other}), which `scene fuse` does not read; `gibson-sim scene import` "
+            "fuses its depth images, if any"
+        )
     known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
     inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and any(layout.recognises(p) for layout in LAYOUTS))
     if inside:
@@ -212,8 +220,20 @@ def _match_by_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], 
     if not len(color) == len(depth) == len(poses):
         raise ScanError(
             f"{folder}: has {len(color)} colour images, {len(depth)} depth images and {len(poses)} poses; there must be as many of each"
+            f"{_first_missing(color, depth, len(poses))}"
         )
     return [FrameFiles(c, d, pose) for c, d, pose in zip(color, depth, poses, strict=True)]
+
+
+def _first_missing(color: Sequence[Path], depth: Sequence[Path], poses: int) -> str:
+    """Returns the first frame that lacks a file or a pose, as text; empty if names do not tell."""
+    names = {path.stem for path in color}, {path.stem for path in depth}
+    for stem in sorted(names[0] ^ names[1]) if names[0] & names[1] else ():
+        has, lacks = ("colour", "depth") if stem in names[0] else ("depth", "colour")
+        return f": frame {stem} has a {has} image, but no {lacks} image"
+    if poses < len(color):
+        return f": the poses end before {color[poses].name}"
+    return f": there is no image for pose {len(color)}, counted from 0" if len(color) < poses else ""
 
 
 def _with_intrinsics(

@@ -65,6 +65,18 @@ class Intrinsics:
         return Intrinsics(width, height, self.fx * x, self.fy * y, (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5)
 
 
+def intrinsics_of(what: str, width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> Intrinsics:
+    """Returns intrinsics, pixels.
+
+    Raises:
+        ScanError: a value is invalid; the message begins with ``what``, such as their file.
+    """
+    try:
+        return Intrinsics(width, height, fx, fy, cx, cy)
+    except ScanError as error:
+        raise ScanError(f"{what}: {error}") from error
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFiles:
     """Image files and camera pose of one frame."""
@@ -196,9 +208,19 @@ def check_pose(what: str, T_world_camera: NDArray[np.float64]) -> None:
     R = T_world_camera[:3, :3]
     if not np.isfinite(T_world_camera).all():
         raise ScanError(f"{what}: the pose holds a NaN or an infinity; the camera was lost there: leave out this frame")
-    error = float(np.abs(R @ R.T - np.eye(3)).max())
-    if error > _ROTATION_TOLERANCE or np.linalg.det(R) < 0.0 or np.abs(T_world_camera[3] - (0, 0, 0, 1)).max() > 1e-6:
-        raise ScanError(
-            f"{what}: the pose is not a rigid transform (its rotation is off by {error:.2g}); "
-            "it must be T_world_camera as 4x4 numbers by rows, in metres"
-        )
+    determinant = float(np.linalg.det(R))
+    scale = abs(determinant) ** (1.0 / 3.0)
+    is_scaled_rotation = scale > 0.0 and float(np.abs(R @ R.T / scale**2 - np.eye(3)).max()) <= _ROTATION_TOLERANCE
+    if not is_scaled_rotation:
+        problem = f"its rows are not perpendicular unit vectors: they are off by {float(np.abs(R @ R.T - np.eye(3)).max()):.2g}"
+    elif determinant < 0.0:
+        problem = f"its determinant is {determinant:.3g}: it mirrors, so that one axis has the wrong sign"
+    elif abs(scale - 1.0) > _ROTATION_TOLERANCE:
+        problem = f"its rotation is scaled by {scale:.3g}; divide its nine numbers by that"
+    elif np.abs(T_world_camera[3] - (0, 0, 0, 1)).max() > 1e-6:
+        problem = "its last row must be 0 0 0 1"
+    else:
+        return
+    raise ScanError(
+        f"{what}: the pose is not a rigid transform ({problem}); it must be T_world_camera as 4x4 numbers by rows, in metres"
+    )

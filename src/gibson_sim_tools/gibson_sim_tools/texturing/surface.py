@@ -62,7 +62,7 @@ def surface_from_mesh(mesh: Mesh) -> Surface:
     """
     vertices, triangles = weld(*mesh.merged())
     if not len(triangles):
-        raise ScanError("the mesh has no triangle; give the mesh of the scan")
+        raise ScanError("the mesh has no triangle with an area; give the mesh of the scan")
     colors = None
     if all(part.colors is not None for part in mesh.parts):
         part_vertices = np.concatenate([part.vertices for part in mesh.parts]).astype(np.float64)

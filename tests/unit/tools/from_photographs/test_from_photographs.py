@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -572,3 +573,99 @@ def test_options_of_photographs_are_refused_for_other_sources(tmp_path, capsys):
     write_mesh(tmp_path / "shop.ply")
     assert exit_code(tmp_path / "shop.ply", "--triangles", 9, "--output", tmp_path / "out") == 1
     assert "--triangles: is for a folder of photographs, which" in capsys.readouterr().err
+
+
+def test_several_refused_options_are_a_plural(tmp_path, capsys):
+    write_mesh(tmp_path / "shop.ply")
+    assert exit_code(tmp_path / "shop.ply", "--triangles", 9, "--voxel", 0.1, "--output", tmp_path / "out") == 1
+    assert "--voxel, --triangles: are for a folder of photographs, which" in (text := capsys.readouterr().err)
+    assert text.rstrip().endswith("leave them out")
+
+
+def test_photographs_without_poses_beside_a_mesh_are_named(tmp_path, capsys):
+    folder = tmp_path / "phone"
+    folder.mkdir()
+    write_mesh(folder / "mesh.ply")
+    for number in range(6):
+        cv2.imwrite(str(folder / f"IMG_{number}.jpg"), room_image(room_poses()[number])[0])
+    assert exit_code(folder, "--hold-out", 5, "--output", tmp_path / "out") == 1
+    assert "--hold-out: is for photographs with poses, but the 6 photographs in " in capsys.readouterr().err
+    assert exit_code(folder, "--output", tmp_path / "out") == 0
+    assert f"warning: 6 photographs in {folder} have no poses and are not used; COLMAP finds them" in capsys.readouterr().err
+
+
+def test_the_next_command_is_quoted(tmp_path, capsys):
+    folder = tmp_path / "my room"
+    folder.mkdir()
+    write_mesh(folder / "mesh.ply")
+    assert exit_code(folder / "mesh.ply", "--output", tmp_path / "the scene") == 0
+    assert (
+        f"next: gibson-sim scene check '{tmp_path}/the scene'; gibson-sim run --scene '{tmp_path}/the scene'"
+        in capsys.readouterr().out
+    )
+
+
+def test_a_bag_is_refused_with_the_command_that_exports_photographs(tmp_path, capsys):
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information:")
+    assert exit_code(tmp_path, "--output", tmp_path / "out") == 1
+    assert "is a bag; make photographs with poses of it first: gibson-sim export " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--hold-out", "-1"), "--hold-out -1: must be 0, or 2 or more"),
+        (("--fill", "bogus"), "--fill is 'bogus', must be none, push_pull, learned or"),
+        (("--fill", "push_pull,depth"), "--fill push_pull,depth: only colours are compared"),
+        (("--depth-scale", "0"), "--depth-scale 0: must be a number above 0"),
+        (("--unit", "0"), "--unit 0: must be one of m, cm, mm"),
+    ],
+)
+def test_options_are_named_as_they_were_given(room, tmp_path, capsys, words, message):
+    assert exit_code(room, *words, "--output", tmp_path / "out") == 1
+    assert message in capsys.readouterr().err
+
+
+def test_a_convention_of_worlds_needs_a_mesh(tmp_path, capsys):
+    assert exit_code(write_rgbd(tmp_path / "scan"), "--pose-convention", "y-up", "--output", tmp_path / "out") == 1
+    assert (
+        "--pose-convention y-up: is for photographs with a mesh; without one, give as-read, auto, opencv"
+        in capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "image", "message"),
+    [
+        (
+            "color/000003.png",
+            np.zeros((24, 32, 3), np.uint8),
+            "has 32x24 pixels, its camera 64x48; give photographs of the size that was posed",
+        ),
+        ("depth/000003.png", np.zeros((48, 64), np.uint8), "has 8 bits and 1 channel; depth must be 16 bit with one channel"),
+        ("depth/000003.png", np.zeros((48, 64, 3), np.uint16), "has 16 bits and 3 channels; depth must be 16 bit"),
+        ("depth/000003.png", np.zeros((24, 32), np.uint16), "has 32x24 pixels, the intrinsics are for 64x48"),
+    ],
+)
+def test_images_of_another_size_or_depth_are_named_in_the_first_stage(tmp_path, name, image, message):
+    folder = write_rgbd(tmp_path / "scan")
+    cv2.imwrite(str(folder / name), image)
+    with pytest.raises(ScanError, match=f"{name}: {message}"):
+        opened(folder, tmp_path / "out")._check_images(lambda part: None)
+
+
+def test_depth_of_lower_resolution_must_have_the_aspect_ratio_of_its_photograph(tmp_path):
+    folder = write_polycam(tmp_path / "phone")
+    assert opened(folder, tmp_path / "out")._check_images(lambda part: None)[0].startswith("24 images are whole")
+    cv2.imwrite(str(folder / "keyframes/depth/3.png"), np.zeros((24, 24), np.uint16))
+    with pytest.raises(ScanError, match=r"3.png: has 24x24 pixels, its photograph 64x48; both must show the same"):
+        opened(folder, tmp_path / "out")._check_images(lambda part: None)
+
+
+def test_an_interrupted_import_says_that_it_resumes(room, tmp_path, monkeypatch, capsys):
+    def interrupted(self, progress):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PhotographImport, "_load_mesh", interrupted)
+    assert exit_code(room, "--output", tmp_path / "out", "--hold-out", 0) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "interrupted; the same command resumes"

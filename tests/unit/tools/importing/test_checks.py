@@ -281,3 +281,33 @@ def test_a_real_scene_is_checked(data_dir: Path, name: str) -> None:
     assert report.facts.triangles == 1930 and report.facts.unit == "m" and report.facts.tilt_deg < 0.1
     assert report.facts.size == pytest.approx((10.12, 10.12, 5.05), abs=0.02)
     assert [(t.width, t.height) for t in report.facts.textures] == [(1024, 1024)]
+
+
+def test_a_scene_without_anything_to_repair_is_not_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = _scene(tmp_path / "a", *room())
+    assert _run("check", folder, "--fix", "--output", tmp_path / "b") == 0
+    assert capsys.readouterr().out.endswith("nothing to repair; no copy made\n")
+    assert not (tmp_path / "b").exists()
+    assert _run("check", folder, "--fix", "--up=z", "--output", tmp_path / "b") == 0
+    assert (tmp_path / "b/scene.yaml").is_file()
+
+
+@pytest.mark.parametrize(("tilted", "kept"), [(False, {"maps", "free_poses.csv", "LICENSE"}), (True, {"LICENSE"})])
+def test_a_copy_keeps_the_files_that_are_still_valid(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], tilted: bool, kept: set[str]
+) -> None:
+    corners, quads = room()
+    # The floor upside down: one of a few triangles that --fix flips.
+    flipped = np.concatenate([quads[:-1], quads[-1:, ::-1]])
+    folder = _scene(tmp_path / "a", turned(corners, 0, 5.0) if tilted else corners, flipped)
+    assert _run("map", folder, "--write") == 0
+    (folder / "maps").mkdir(exist_ok=True)
+    (folder / "maps/floor_0.yaml").write_text("image: floor_0.pgm\n")
+    (folder / "LICENSE").write_text("CC0\n")
+    capsys.readouterr()
+    _run("check", folder, "--fix", "--output", tmp_path / "b")
+    out = capsys.readouterr().out
+    names = {"maps", "free_poses.csv", "LICENSE"}
+    assert {name for name in names if (tmp_path / "b" / name).exists()} == kept
+    assert ("the copy has another frame, so these are left out: maps, " in out) == tilted
+    assert (f"`gibson-sim scene map {tmp_path}/b --write` makes maps and free poses anew" in out) == tilted

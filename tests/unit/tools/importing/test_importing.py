@@ -242,7 +242,7 @@ def test_nothing_at_all_is_an_error(tmp_path: Path) -> None:
 def test_an_unknown_unit_names_the_known_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_gibson_folder(tmp_path / "Tiny")
     assert _run("import", tmp_path / "Tiny", "--unit", "furlong") == 1
-    assert "--unit furlong: is unknown; give one of m, cm, mm, inch, foot, km" in capsys.readouterr().err
+    assert "--unit furlong: must be one of m, cm, mm, inch, foot, km" in capsys.readouterr().err
     assert issubclass(ConfigError, GibsonSimError)
 
 

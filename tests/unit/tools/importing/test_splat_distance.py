@@ -85,3 +85,14 @@ def test_a_mended_copy_has_the_splats_where_its_mesh_is(tmp_path: Path, visual: 
     assert spec is not None and Path(spec.file) == (tmp_path / "mended" / "assets" / "s.ply").resolve()
     assert spec.scale == pytest.approx(0.5, abs=1e-3) and spec.pose.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
     assert "splats" in {f.what for f in mended.findings}
+
+
+def test_large_splats_and_splats_without_rotation_are_notes(tmp_path: Path) -> None:
+    splats = _splats(tmp_path)
+    scales, quats = splats.scales.copy(), splats.quats_xyzw.copy()
+    scales[:2], quats[:3] = 148.0, 0.0
+    (tmp_path / "s.ply").write_bytes(splats_ply(replace(splats, scales=scales, quats_xyzw=quats)))
+    (tmp_path / "scene.yaml").write_text(f"{FLOOR}visual: {{splats: s.ply}}\n")
+    found = {f.what: f for f in check_path(tmp_path).findings}
+    assert "2 of" in found["splats-large"].text and "the largest 148 m" in found["splats-large"].text
+    assert found["splats-unrotated"].text.startswith("3 of ") and found["splats-unrotated"].level == "note"

@@ -175,3 +175,42 @@ def test_a_bag_is_refused_with_the_command_that_exports_photographs(tmp_path):
     (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information:")
     with pytest.raises(ScanError, match=r"is a bag; .* gibson-sim export .* --to nerfstudio"):
         open_photographs(tmp_path)
+
+
+def test_invalid_intrinsics_are_named_with_their_file_and_frame(folder):
+    frames = [{"file_path": "images/a.png", "transform_matrix": np.eye(4).tolist()}]
+    (folder / "transforms.json").write_text(json.dumps({"w": 60, "h": 40, "fl_x": 0, "fl_y": 50, "frames": frames}))
+    with pytest.raises(ScanError, match=r"transforms.json: frame 0: intrinsics: fx, fy, cx, cy are 0, 50, 29.5, 19.5 pixels"):
+        open_photographs(folder)
+    (folder / "transforms.json").unlink()
+    colmap_text(folder, "1 PINHOLE 60 40 0 51 30 20\n")
+    with pytest.raises(ScanError, match=r"cameras.txt: intrinsics: fx, fy, cx, cy are 0, 51"):
+        open_photographs(folder)
+
+
+def test_a_line_that_is_not_colmaps_is_named(folder):
+    colmap_text(folder, "1 PINHOLE 60\n")
+    with pytest.raises(ScanError, match=r"cameras.txt:2: '1 PINHOLE 60' must be camera id, model, width, height and parameters"):
+        open_photographs(folder)
+    (folder / "sparse/0/cameras.txt").write_text("1 PINHOLE 60 40 50\n")
+    with pytest.raises(ScanError, match=r"cameras.txt:1: a camera PINHOLE has 1 parameters, must have 4"):
+        open_photographs(folder)
+    (folder / "sparse/0/cameras.txt").write_text("1 PINHOLE 60 40 50 51 30 20\n")
+    (folder / "sparse/0/images.txt").write_text("# images\n2 0.5 0.5 b.png\n\n")
+    with pytest.raises(
+        ScanError, match=r"images.txt:2: '2 0.5 0.5 b.png' must be image id, qw qx qy qz, tx ty tz, camera id and file"
+    ):
+        open_photographs(folder)
+
+
+def test_a_scaled_or_mirrored_pose_is_named(folder):
+    def written(matrix):
+        frames = [{"file_path": "images/a.png", "transform_matrix": matrix.tolist()}]
+        (folder / "transforms.json").write_text(json.dumps({"w": 60, "h": 40, "fl_x": 50, "fl_y": 50, "frames": frames}))
+
+    written(np.diag([2.0, 2.0, 2.0, 1.0]))
+    with pytest.raises(ScanError, match="its rotation is scaled by 2; divide"):
+        open_photographs(folder)
+    written(np.diag([1.0, 1.0, -1.0, 1.0]))
+    with pytest.raises(ScanError, match="its determinant is -1: it mirrors"):
+        open_photographs(folder)

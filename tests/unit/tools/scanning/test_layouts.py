@@ -307,3 +307,44 @@ def test_the_real_living_room_is_read(data_dir):
     assert frame.rgb.shape == (480, 640, 3)
     assert 1.0 < float(np.nanmedian(frame.depth)) < 3.0
     assert np.allclose(frame.T_world_camera, np.eye(4))
+
+
+def test_intrinsics_of_larger_images_are_refused_with_the_likely_size(tmp_path):
+    folder = open3d_folder(tmp_path / "set")
+    (folder / "camera_intrinsic.json").unlink()
+    (folder / "camera.txt").write_text("20 22 11.5 7.5\n")
+    with pytest.raises(
+        ScanError, match=r"camera.txt: the principal point is at 11.5, 7.5 pixels, .* of images of 24x16\? Give those of 12x8"
+    ):
+        open_posed_rgbd(folder)
+    assert open_posed_rgbd(folder, focal=(10.0, 11.0, 5.5, 3.5)).intrinsics.fx == 10.0
+
+
+@pytest.mark.parametrize(
+    ("removed", "message"),
+    [
+        ("depth/00001.png", "frame 00001 has a colour image, but no depth image"),
+        ("image/00002.png", "frame 00002 has a depth image, but no colour image"),
+    ],
+)
+def test_the_first_frame_without_a_file_is_named(tmp_path, removed, message):
+    folder = open3d_folder(tmp_path / "set")
+    (folder / removed).unlink()
+    with pytest.raises(ScanError, match=f"there must be as many of each: {message}"):
+        open_posed_rgbd(folder)
+
+
+def test_the_first_frame_without_a_pose_is_named(tmp_path):
+    folder = open3d_folder(tmp_path / "set")
+    write_trajectory_log(folder / "trajectory.log", POSES[:2])
+    with pytest.raises(ScanError, match=r"the poses end before 00002\.png"):
+        open_posed_rgbd(folder)
+    write_trajectory_log(folder / "trajectory.log", POSES[[0, 1, 2, 2]])
+    with pytest.raises(ScanError, match="there is no image for pose 3"):
+        open_posed_rgbd(folder)
+
+
+def test_a_folder_of_photographs_is_named_with_the_command_that_reads_it(tmp_path):
+    (tmp_path / "transforms.json").write_text("{}")
+    with pytest.raises(ScanError, match=r"is a folder of photographs \(nerfstudio\), .* `gibson-sim scene import` fuses"):
+        open_posed_rgbd(tmp_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -91,12 +92,13 @@ def test_depths_become_millimetres_and_back() -> None:
     ("change", "why"),
     [
         ((0, 3, np.nan), "a NaN or an infinity"),
-        ((0, 0, 1.1), r"its rotation is off by 0\.21"),
-        ((2, 2, -1.0), "not a rigid transform"),
-        ((3, 3, 2.0), "not a rigid transform"),
+        ((0, 0, 1.1), r"not perpendicular unit vectors: they are off by 0\.21"),
+        ((2, 2, -1.0), "not a rigid transform .its determinant is -1: it mirrors"),
+        ((slice(0, 3), slice(0, 3), 2.0 * np.eye(3)), "its rotation is scaled by 2; divide its nine numbers by that"),
+        ((3, 3, 2.0), "its last row must be 0 0 0 1"),
     ],
 )
-def test_a_pose_must_be_a_rigid_transform(change: tuple[int, int, float], why: str) -> None:
+def test_a_pose_must_be_a_rigid_transform(change: tuple[Any, Any, Any], why: str) -> None:
     check_pose("x", np.eye(4))
     pose = np.eye(4)
     pose[change[:2]] = change[2]

@@ -30,7 +30,7 @@ from gibson_sim_tools.importing.checks.facts import (
 from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
 from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_up, unit_text
 from gibson_sim_tools.importing.checks.islands import islands
-from gibson_sim_tools.importing.checks.splats import MAX_SPLAT_DISTANCE, splat_distance
+from gibson_sim_tools.importing.checks.splats import LARGE_SPLAT, MAX_SPLAT_DISTANCE, splat_distance
 from gibson_sim_tools.importing.document import ASSETS
 from gibson_sim_tools.importing.left_out import read_left_out
 from gibson_sim_tools.importing.scans import MIN_SCAN_SHARE, MIN_SCAN_TRIANGLES
@@ -343,6 +343,15 @@ def _splats(scene: SceneSpec, geometry: DrawnGeometry) -> Iterator[SceneFinding]
         )
     else:
         yield SceneFinding("splats", "note", distance.text(), amount=distance.median)
+    if distance.large:
+        text = (
+            f"{distance.large:,} of {distance.splats:,} splats have a standard deviation above {LARGE_SPLAT:g} m, the largest "
+            f"{distance.largest:.0f} m: they may cover whole images"
+        )
+        yield SceneFinding("splats-large", "note", text, "delete them in SuperSplat, or correct the scale", amount=distance.large)
+    if distance.without_rotation:
+        text = f"{distance.without_rotation:,} of {distance.splats:,} splats have a quaternion of length 0 and are drawn without rotation"
+        yield SceneFinding("splats-unrotated", "note", text, "export the splats again", amount=distance.without_rotation)
 
 
 def _omissions(scene: SceneSpec, geometry: DrawnGeometry, guess: UpGuess) -> Iterator[SceneFinding]:

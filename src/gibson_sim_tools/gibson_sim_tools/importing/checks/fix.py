@@ -19,7 +19,10 @@ from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.formats.textures import decode_image
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.geometry.triangles import areas_of, unit_normals
+from gibson_sim.maps.export import FLOORS
+from gibson_sim.maps.free_poses import FREE_POSES
 from gibson_sim.quoting import quoted
+from gibson_sim.scenes.load import DESCRIPTION
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec, SplatsSpec
@@ -34,6 +37,7 @@ from gibson_sim_tools.importing.checks.splats_in_yaml import visual_line, write_
 from gibson_sim_tools.importing.document import ASSETS, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim_tools.importing.importers import WITHOUT_VISUAL, collisions_by_visual, light_document
 from gibson_sim_tools.importing.labels import select_triangles
+from gibson_sim_tools.importing.scene_files import THUMBNAIL
 
 F64 = NDArray[np.float64]
 MAX_MAP_TILT_DEG = 2.0
@@ -42,6 +46,9 @@ _MIN_LEVEL_Z = 0.95
 """Minimum z component of a level triangle's unit normal."""
 _FLOOR_SEARCH_RANGE = 0.3
 """Search range around the transformed height of a floor, m."""
+_FILES_IN_ITS_FRAME = ("maps", "floor_trav_*.png", FLOORS, FREE_POSES, THUMBNAIL)
+"""Files beside a scene that are valid in its frame only."""
+_OTHER_FILES = ("LICENSE*", "LICENCE*", "README*")
 MAX_SOURCE_PIXELS = 16384 * 16384
 """Size limit of an image that can be scaled down, pixels."""
 
@@ -153,6 +160,7 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
     file = write_scene(out, output)
     if scene.splats is not None:
         _carry_splats(scene.splats, matrix, file)
+    _carry_files(scene.root, file.parent, is_transformed)
     report_after = check_path(file)
     if scene.splats is not None and any(finding.what == "splats-apart" for finding in report_after.findings):
         report_after = _align_splats_of_copy(report_after, file)
@@ -164,6 +172,42 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
             + ("; --no-level keeps its orientation, --up gives the up direction" if is_transformed else "")
         )
     return file, report_after
+
+
+def has_repairs(report: SceneReport, fix: FixOptions) -> bool:
+    """Returns whether ``fix_scene`` would change a scene, or whether it cannot tell: the scene cannot be read, or its up direction is unclear."""
+    if report.facts is None or fix.up is not None or fix.unit_m not in (None, 1.0):
+        return True
+    ignored = {"not-metres"} | (set() if fix.level else {"not-level"})
+    return any((f.fixable or f.what == "up-unclear") and f.what not in ignored for f in report.findings) or any(
+        max(texture.width, texture.height) > fix.max_texture for texture in report.facts.textures
+    )
+
+
+def left_behind(root: Path, output: Path) -> list[str]:
+    """Returns the names of the maps and other files beside a scene that its repaired copy lacks, because they no longer fit it."""
+    return [path.name for path in _files_beside(root, (*_FILES_IN_ITS_FRAME, *_OTHER_FILES)) if not (output / path.name).exists()]
+
+
+def _carry_files(root: Path, output: Path, is_transformed: bool) -> None:
+    """Copies the files beside a scene to its repaired copy: licences, and those in the frame of the scene unless that was transformed."""
+    for path in _files_beside(root, _OTHER_FILES if is_transformed else (*_FILES_IN_ITS_FRAME, *_OTHER_FILES)):
+        copy = output / path.name
+        try:
+            if path.is_dir():
+                shutil.copytree(path, copy, dirs_exist_ok=True)
+            else:
+                shutil.copyfile(path, copy)
+        except OSError as e:
+            shutil.rmtree(output, ignore_errors=True)
+            raise cannot_write(copy, e) from e
+
+
+def _files_beside(root: Path, patterns: Sequence[str]) -> list[Path]:
+    """Returns the files and folders that match patterns in the folder of a scene.yaml; none without one. Symbolic links are left out."""
+    if not (root / DESCRIPTION).is_file():
+        return []
+    return [path for pattern in patterns for path in sorted(root.glob(pattern)) if not path.is_symlink()]
 
 
 def regressions(before: SceneReport, after: SceneReport) -> list[str]:

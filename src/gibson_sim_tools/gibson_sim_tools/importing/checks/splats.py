@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,8 @@ SOLID_OPACITY = 0.5
 """Opacity from which a splat is solid; fainter ones are haze and reflections."""
 MAX_SPLAT_DISTANCE = 0.03
 """Median distance of splats from the mesh above which colour and depth images do not match, m."""
+LARGE_SPLAT = 10.0
+"""Standard deviation above which a splat is larger than a room, m."""
 _MAX_SAMPLES = 20_000
 """Maximum number of splats measured."""
 _SPACING = 0.02
@@ -39,6 +41,12 @@ class SplatDistance:
     """Median of the distances of the solid splats."""
     p90: float
     """90th percentile of the distances of the solid splats."""
+    large: int = 0
+    """Number of splats with a standard deviation above ``LARGE_SPLAT``."""
+    largest: float = 0.0
+    """Largest standard deviation."""
+    without_rotation: int = 0
+    """Number of splats whose quaternion in the file has length 0."""
 
     def text(self) -> str:
         """Returns the distances as text."""
@@ -90,9 +98,15 @@ def splat_distance(spec: SplatsSpec, corners: F64, rng: np.random.Generator) -> 
     """
     splats = load_splats(Path(spec.file))
     positions = solid_positions(spec, splats)
-    if not len(positions) or not has_area(corners):
-        return SplatDistance(len(splats), splats.degree, np.inf, np.inf)
-    return measure_distance(splats, sample_positions(positions, rng), Surface(corners, rng))
+    measured = (
+        measure_distance(splats, sample_positions(positions, rng), Surface(corners, rng))
+        if len(positions) and has_area(corners)
+        else SplatDistance(len(splats), splats.degree, np.inf, np.inf)
+    )
+    sizes = spec.scale * splats.scales.max(axis=1)
+    return replace(
+        measured, large=int((sizes > LARGE_SPLAT).sum()), largest=float(sizes.max()), without_rotation=splats.without_rotation
+    )
 
 
 def sample_positions(positions: F64, rng: np.random.Generator) -> F64:
