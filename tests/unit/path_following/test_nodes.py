@@ -447,6 +447,7 @@ def test_a_pair_that_is_never_taken_at_the_same_time_is_one_line(context: Any, w
 
 def test_a_camera_of_a_pair_that_died_is_one_line(context: Any, wall: Any) -> None:
     pairs = Pairs(context)
+    wall.ns += 10 * NS  # the cameras start later
     for k in range(40):
         wall.ns += NS // 10
         pairs.see("front", wall.ns)
