@@ -70,8 +70,8 @@ class CameraInput:
         """Wall time of the first image that had no camera_info, ns."""
         self._off_clock_ns: int | None = None
         """Wall time since which stamps are far from the node's clock, ns; None = they are not."""
-        self._assembled_ns = time.monotonic_ns()
-        """Wall time of the newest complete view, ns."""
+        self._incomplete_ns: int | None = None
+        """Wall time of the first image since the newest complete view, ns."""
         self._period_ns = 0 if options.rate_hz == 0.0 else round(conversions.NS_PER_S / options.rate_hz)
         self._watch = ImageWatch(node, options.image_topics, "parameter image_topics")
         self._subscriptions = []
@@ -115,7 +115,7 @@ class CameraInput:
         if complete is None:
             self._warn_unless_complete()
             return
-        self._assembled_ns = time.monotonic_ns()
+        self._incomplete_ns = None
         stamp, messages = complete
         # A tenth of tolerance: stamps of a real camera jitter.
         if self._used_ns is not None and stamp - self._used_ns < 0.9 * self._period_ns:
@@ -215,12 +215,16 @@ class CameraInput:
 
     def _warn_unless_complete(self) -> None:
         """Warns if the images of a pair have not made a view for a while."""
-        if time.monotonic_ns() - self._assembled_ns < _PATIENCE_NS:
+        now_ns = time.monotonic_ns()
+        self._incomplete_ns = self._incomplete_ns or now_ns
+        if now_ns - self._incomplete_ns < _PATIENCE_NS:
             return
         missing, gap_ns = self._assembler.missing, self._assembler.gap_ns
         if gap_ns is None:
             others = " and ".join(name for name in IMAGES_OF[self._kind] if name not in missing)
             self.problem = f"images come from {others}, but not from {' and '.join(missing)}; do all cameras run?"
+            if self._watch.is_waiting:  # it warns
+                return
         else:
             self.problem = (
                 f"the images of {' and '.join(IMAGES_OF[self._kind])} are {gap_ns / 1e6:.0f} ms apart by their stamps, sync_tolerance allows "

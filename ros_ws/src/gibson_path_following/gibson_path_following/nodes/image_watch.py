@@ -30,6 +30,11 @@ class ImageWatch:
         """Newest stamp of a topic, ns, and number of successive images that had it."""
         self._timer = node.create_timer(_PERIOD_S, self.warn, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether no image has come from one of the topics."""
+        return bool(self._silent)
+
     def note(self, topic: str, stamp_ns: int) -> None:
         """Notes an image.
 
