@@ -505,7 +505,9 @@ def test_a_misspelt_parameter_is_warned_of_and_those_of_ros_are_not(
 PROGRAMS = ("path_recorder", "path_localiser", "path_policy", "path_evaluator", "camera_faults", "goggles")
 
 
-def test_an_activation_that_fails_ends_the_node_with_autostart(context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_activation_that_fails_ends_the_node_with_autostart(
+    context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(PathPolicyNode, "on_activate", lambda *_: TransitionCallbackReturn.FAILURE)
     with pytest.raises(PathFollowingError, match="path_policy cannot be activated"):
         Driven(context, folder)
