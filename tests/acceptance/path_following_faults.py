@@ -1,8 +1,9 @@
 """Drives a path by images while the camera fails, or a person crosses; says what the robot did. Plain ROS 2 and our package.
 
 After `source env.sh`: python tests/acceptance/path_following_faults.py [NAME ...] [--backend learned]. It starts the simulation and all nodes
-by itself, in lockstep: time waits for images, commands and the person, so a slow machine changes nothing. Names: plain covered dropped delayed
-person standing robots; all by default. Exit code 1: a person was never in the robot's way.
+by itself, in lockstep: time waits for images, commands and the person, so calls give the same results, if rarely to the last digit; the nodes of
+`dropped` and `delayed` answer no image in particular. Names: plain covered dropped delayed person standing robots; all by default. Exit code 1: a
+person was never in the robot's way.
 """
 
 import argparse
