@@ -1,6 +1,6 @@
 """A few episodes of a task as a Gymnasium environment, with a random policy. No ROS.
 
-pip install gibson_sim[gym], then python gymnasium_rollout.py [--episodes 2]
+pip install 'gibson_sim[gym]', then python gymnasium_rollout.py [--episodes 2]
 """
 
 import argparse

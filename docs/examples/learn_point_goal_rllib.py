@@ -1,6 +1,6 @@
 """Learns the task `point-goal` with PPO of RLlib, on this machine or on a Ray cluster. No ROS.
 
-pip install gibson_sim[gym] "ray[rllib]" torch, then python learn_point_goal_rllib.py --folder out/point_goal_rllib [--steps N] [--seed N]
+pip install 'gibson_sim[gym]' "ray[rllib]" torch, then python learn_point_goal_rllib.py --folder out/point_goal_rllib [--steps N] [--seed N]
 
 A second call with the same folder goes on where the first one ended. With --address, simulations run on the machines of that cluster, on
 which Gibson Sim has to be installed, too.

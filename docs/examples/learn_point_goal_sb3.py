@@ -1,6 +1,6 @@
 """Learns the task `point-goal` with Stable-Baselines3: SAC from states, PPO from images, then evaluates the policy on fixed seeds. No ROS.
 
-pip install gibson_sim[learn], then python learn_point_goal_sb3.py --folder out/point_goal [--observation rgbd] [--steps N] [--seed N]
+pip install 'gibson_sim[learn]', then python learn_point_goal_sb3.py --folder out/point_goal [--observation rgbd] [--steps N] [--seed N]
 
 A second call with the same folder goes on where the first one ended, up to --steps in all. The folder holds the policy, the scale of
 rewards, the steps to learn from, and the learning curve: curve.json, curve.png. docs/learning.md shows what to expect, and how long it

@@ -225,7 +225,7 @@ def test_the_environment_of_a_task_with_an_arm_passes_the_check_of_gymnasium() -
 
         from gibson_sim.tasks.environments import TaskEnvironment
     except ImportError:
-        message = "SKIPPED: Gymnasium is not installed: pip install gibson_sim[gym]"
+        message = "SKIPPED: Gymnasium is not installed: pip install 'gibson_sim[gym]'"
         warnings.warn(message, stacklevel=2)
         pytest.skip(message)
     environment = TaskEnvironment("pick-and-place")

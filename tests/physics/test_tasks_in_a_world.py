@@ -91,7 +91,7 @@ def environments() -> Any:
     try:
         from gibson_sim.tasks import environments
     except ImportError:
-        message = "SKIPPED: Gymnasium is not installed: pip install gibson_sim[gym]"
+        message = "SKIPPED: Gymnasium is not installed: pip install 'gibson_sim[gym]'"
         warnings.warn(message, stacklevel=2)
         pytest.skip(message)
     return environments

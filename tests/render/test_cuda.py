@@ -140,7 +140,7 @@ def test_a_context_on_another_gpu_is_refused(context: GlContext) -> None:
 
 def test_without_the_package_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "cuda.bindings", None)
-    with pytest.raises(GraphicsUnavailableError, match=r"pip install gibson-sim\[cuda\]"):
+    with pytest.raises(GraphicsUnavailableError, match=r"pip install 'gibson_sim\[cuda\]'"):
         CudaPython()
 
 

@@ -48,7 +48,7 @@ def test_pictures_of_an_environment_show_its_episode() -> None:
     try:
         from gibson_sim.tasks.environments import TaskEnvironment
     except ImportError:
-        message = "SKIPPED: Gymnasium is not installed: pip install gibson_sim[gym]"
+        message = "SKIPPED: Gymnasium is not installed: pip install 'gibson_sim[gym]'"
         warnings.warn(message, stacklevel=2)
         pytest.skip(message)
     environment = TaskEnvironment("push-through", observation="rgbd", scene="arena", size=(64, 48), render_mode="rgb_array")

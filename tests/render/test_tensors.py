@@ -71,7 +71,7 @@ def tensors(context: GlContext, cuda: FakeCuda, without_torch: None) -> Iterator
 @pytest.fixture
 def torch() -> Any:
     if importlib.util.find_spec("torch") is None:
-        message = "SKIPPED: no PyTorch in this Python; pip install gibson-sim[torch] to test its tensors"
+        message = "SKIPPED: no PyTorch in this Python; pip install 'gibson_sim[torch]' to test its tensors"
         warnings.warn(message, stacklevel=2)
         pytest.skip(message)
     import torch

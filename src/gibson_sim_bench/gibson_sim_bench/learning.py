@@ -106,7 +106,7 @@ def measure(plan: LearningPlan, progress: Callable[[str], None] = lambda line: N
             "must be of state, rgbd, 1 or more, and above 0"
         )
     if importlib.util.find_spec("gymnasium") is None:
-        raise GibsonSimError("environments need Gymnasium: pip install gibson_sim[gym]")
+        raise GibsonSimError("environments need Gymnasium: pip install 'gibson_sim[gym]'")
     rows: list[LearningRow] = []
     facts = (timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load())
     for observation in plan.observations:

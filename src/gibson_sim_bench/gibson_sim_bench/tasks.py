@@ -223,7 +223,7 @@ def _observe(run: TaskRun, controls: Controls, camera: TaskCamera | None) -> Any
 def _in_processes(plan: TaskPlan, name: str, observation: str, processes: int) -> TaskRow:
     """Returns the row of a case in Gymnasium's vector environment."""
     if importlib.util.find_spec("gymnasium") is None:
-        raise GibsonSimError("several processes need Gymnasium: pip install gibson_sim[gym]")
+        raise GibsonSimError("several processes need Gymnasium: pip install 'gibson_sim[gym]'")
     from gibson_sim.tasks.environments import in_processes
 
     envs = in_processes(processes, name, observation=observation, scene=plan.scene, size=(plan.size, plan.size))

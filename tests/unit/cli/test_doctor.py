@@ -85,7 +85,7 @@ def test_without_cuda_the_remedy_is_the_extra(answers: Answers) -> None:
     answers({"list_devices": devices(device(0)), "self_test": (True, "drawn"), "CudaPython": (False, "no CUDA here")})
     finding = list(doctor._graphics())[-1]
     assert (finding.what, finding.status) == ("CUDA", "warn")
-    assert "gibson-sim[cuda]" in finding.remedy
+    assert "gibson_sim[cuda]" in finding.remedy
 
 
 def test_cuda_is_not_mentioned_without_a_rendering_nvidia_gpu(answers: Answers) -> None:

@@ -90,7 +90,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytes
 
 def test_without_onnxruntime_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(ConfigError, match=r"needs onnxruntime, which is not installed: pip install gibson-sim\[filler\]"):
+    with pytest.raises(ConfigError, match=r"needs onnxruntime, which is not installed: pip install 'gibson_sim\[filler\]'"):
         fill(tmp_path, our_network())
 
 

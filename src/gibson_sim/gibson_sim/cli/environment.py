@@ -51,7 +51,7 @@ def require_nodes() -> None:
     if missing:
         raise EnvironmentProblemError(
             f"this Python ({sys.executable}) has no {', '.join(missing)}: run `make setup` and use .venv/bin/gibson-sim, "
-            "or pip install 'gibson-sim[ros]', or source your ROS workspace"
+            "or pip install 'gibson_sim[ros]', or source your ROS workspace"
         )
 
 

@@ -16,7 +16,7 @@ MAX_BYTES = 256 << 20
 """Maximum size of a file, bytes. LaMa, the largest inpainting network in wide use, has 208 MB; MI-GAN has 28 MB."""
 THREADS = 2
 """Number of threads of a network; fixed, so that images do not depend on the number of cores."""
-INSTALL = "pip install gibson-sim[filler]"
+INSTALL = "pip install 'gibson_sim[filler]'"
 _MAX_DEPTH = 60
 """Maximum nesting depth of messages (subgraphs of nodes of subgraphs)."""
 _CHILDREN: dict[str, dict[int, str]] = {

@@ -1,6 +1,6 @@
 """Tasks as Gymnasium environments. Importing this module registers them: ``gymnasium.make("GibsonSim/PointGoal-v0")``.
 
-No other module imports Gymnasium, which is optional: ``pip install gibson_sim[gym]``.
+No other module imports Gymnasium, which is optional: ``pip install 'gibson_sim[gym]'``.
 """
 
 from __future__ import annotations

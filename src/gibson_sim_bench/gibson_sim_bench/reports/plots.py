@@ -24,7 +24,7 @@ def require_matplotlib() -> None:
         ConfigError: it is not.
     """
     if importlib.util.find_spec("matplotlib") is None:
-        raise ConfigError("plots need matplotlib: pip install gibson_sim[analysis]")
+        raise ConfigError("plots need matplotlib: pip install 'gibson_sim[analysis]'")
 
 
 def _figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Any, Any]:

@@ -107,7 +107,7 @@ def _ros() -> Iterator[Finding]:
         "rclpy",
         "ok" if ok else "FAIL",
         f"{source}, {text}" if ok else text,
-        "" if ok else "run `make setup`, or pip install 'gibson-sim[ros]', or source your ROS 2 Jazzy installation",
+        "" if ok else "run `make setup`, or pip install 'gibson_sim[ros]', or source your ROS 2 Jazzy installation",
     )
     for package, needed in MESSAGES.items():
         ok, text = _try(f"import {package}; print({package}.__path__[0])")
@@ -115,7 +115,7 @@ def _ros() -> Iterator[Finding]:
             ""
             if ok
             else "run `make setup`, or build the workspace: cd ros_ws && colcon build, then source install/setup.bash; "
-            "with pip: pip install 'gibson-sim[ros]'"
+            "with pip: pip install 'gibson_sim[ros]'"
         )
         yield Finding(package, "ok" if ok else ("FAIL" if needed else "warn"), text, remedy)
 
@@ -138,7 +138,7 @@ def _loops() -> Iterator[Finding]:
         if CAN_COMPILE
         else "not installed: culling and level-of-detail selection run in NumPy, more slowly"
     )
-    yield Finding("Numba", "ok" if CAN_COMPILE else "warn", text, "" if CAN_COMPILE else "pip install gibson-sim[fast]")
+    yield Finding("Numba", "ok" if CAN_COMPILE else "warn", text, "" if CAN_COMPILE else "pip install 'gibson_sim[fast]'")
 
 
 _DEVICES = """
@@ -190,7 +190,7 @@ def _cuda(nvidia: list[dict[str, Any]]) -> Finding:
     """Checks whether tensors can stay on the GPU: the rendering GPU must be visible to CUDA."""
     ok, text = _try(_CUDA)
     if not ok:
-        return Finding("CUDA", "warn", text, "only for tensors on the GPU: pip install gibson-sim[cuda]; all else works without")
+        return Finding("CUDA", "warn", text, "only for tensors on the GPU: pip install 'gibson_sim[cuda]'; all else works without")
     devices = json.loads(text)
     drawing = {d["uuid"]: d["index"] for d in nvidia}
     pairs = [f"cuda:{c['ordinal']} {c['name']} is EGL device {drawing[c['uuid']]}" for c in devices if c["uuid"] in drawing]
@@ -274,7 +274,7 @@ def _disk() -> Iterator[Finding]:
 def _scenes() -> Iterator[Finding]:
     names = ", ".join(known_scenes())
     remedy = (
-        "" if names else "reinstall, or pip install 'gibson-sim[scenes]', or set GIBSON_SIM_PATH to a folder that holds scenes/"
+        "" if names else "reinstall, or pip install 'gibson_sim[scenes]', or set GIBSON_SIM_PATH to a folder that holds scenes/"
     )
     yield Finding("scenes", "ok" if names else "warn", f"{names or 'none'} (by name; any folder or file works too)", remedy)
 

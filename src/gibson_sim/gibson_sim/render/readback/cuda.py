@@ -1,6 +1,6 @@
 """Copies OpenGL buffers to CUDA memory on the same GPU.
 
-Only ``CudaPython`` needs an NVIDIA GPU and the package ``cuda-bindings`` (``pip install gibson-sim[cuda]``). ``CudaLink`` uses CUDA through
+Only ``CudaPython`` needs an NVIDIA GPU and the package ``cuda-bindings`` (``pip install 'gibson_sim[cuda]'``). ``CudaLink`` uses CUDA through
 ``CudaDriver``, a dozen functions, so that it can be tested without a GPU.
 
 CUDA's requirements: the OpenGL context is current on the calling thread (by the caller); the CUDA device is the one that OpenGL draws on,
@@ -92,7 +92,7 @@ class CudaPython:
         try:
             from cuda.bindings import driver
         except ImportError as e:
-            raise GraphicsUnavailableError(f"CUDA is not available: {e}; pip install gibson-sim[cuda]") from e
+            raise GraphicsUnavailableError(f"CUDA is not available: {e}; pip install 'gibson_sim[cuda]'") from e
         self._cuda: Any = driver
         self._context: Any = None
         try:
