@@ -190,7 +190,9 @@ def _cuda(nvidia: list[dict[str, Any]]) -> Finding:
     """Checks whether tensors can stay on the GPU: the rendering GPU must be visible to CUDA."""
     ok, text = _try(_CUDA)
     if not ok:
-        return Finding("CUDA", "warn", text, "only for tensors on the GPU: pip install 'gibson_sim[cuda]'; all else works without")
+        return Finding(
+            "CUDA", "warn", text, "only for tensors on the GPU: pip install 'gibson_sim[cuda]'; all else works without"
+        )
     devices = json.loads(text)
     drawing = {d["uuid"]: d["index"] for d in nvidia}
     pairs = [f"cuda:{c['ordinal']} {c['name']} is EGL device {drawing[c['uuid']]}" for c in devices if c["uuid"] in drawing]
