@@ -7,6 +7,7 @@ import json
 import math
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,6 +34,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Joy  # noqa: E40
 from std_msgs.msg import Bool, String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
+from gibson_path_following import path_folder  # noqa: E402
 from gibson_path_following.errors import ModelError, PathFolderError, PathFollowingError, SettingError, ViewError  # noqa: E402
 from gibson_path_following.nodes import camera_input, conversions  # noqa: E402
 from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
@@ -337,6 +339,98 @@ def test_a_folder_that_exists_is_refused_before_anything_is_recorded(context: An
     with pytest.raises(PathFolderError, match="it exists; give a new folder, or set replace to true"):
         Recording(context, folder)
     Recording(context, folder, replace=True).node.destroy_node()
+
+
+def test_a_single_image_of_another_time_does_not_end_the_recording(context: Any, tmp_path: Path) -> None:
+    recording, lines = Recording(context, tmp_path / "new"), list[str]()
+    recording.node.get_logger().warning = lambda text, **_: lines.append(text)
+    for k, stamp_ns in enumerate(
+        (10 * NS, 10 * NS + TICK, 20 * NS, 10 * NS + 2 * TICK, 0, 10 * NS + 3 * TICK, 10 * NS + 4 * TICK)
+    ):
+        recording.see(k, stamp_ns)
+    recording.node.stop()
+    assert [node.stamp_ns for node in load_path(tmp_path / "new").nodes] == [10 * NS + k * TICK for k in range(5)]
+    assert lines == [
+        "images: one stamp was 9.6 s ahead of the next one and is left out; correct the driver",
+        "images: one stamp was 10.6 s behind the next one and is left out; correct the driver",
+    ]
+    recording.node.destroy_node()
+
+
+def test_a_path_that_cannot_be_written_is_kept_and_a_second_stop_writes_it(context: Any, tmp_path: Path) -> None:
+    recording = Recording(context, tmp_path / "new")
+    for k in range(4):
+        recording.see(k, NS + k * TICK)
+    (tmp_path / "new").mkdir()
+    kept = "the path is kept: call path_recorder/stop to try again, or end the node, which writes new-2"
+    answer = recording.node._on_stop(None, Trigger.Response())
+    assert not answer.success
+    assert answer.message == f"cannot write {tmp_path / 'new'}: it exists; give a new folder; {kept}"
+    assert recording.node._on_start(None, Trigger.Response()).message == f"the last path is not written yet; {kept}"
+    (tmp_path / "new").rmdir()
+    answer = recording.node._on_stop(None, Trigger.Response())
+    assert answer.success and answer.message == f"wrote {tmp_path / 'new'}: 4 nodes without poses, 0.00 m"
+    assert len(load_path(tmp_path / "new").nodes) == 4
+    assert not recording.node._on_stop(None, Trigger.Response()).success
+    recording.node.stop()
+    recording.node.destroy_node()
+
+
+def test_a_path_that_cannot_be_written_at_the_end_of_the_node_goes_to_a_folder_beside(context: Any, tmp_path: Path) -> None:
+    recording = Recording(context, tmp_path / "new")
+    for k in range(4):
+        recording.see(k, NS + k * TICK)
+    for name in ("new", "new-2"):
+        (tmp_path / name).mkdir()
+    with pytest.raises(PathFollowingError) as caught:
+        recording.node.stop()
+    assert str(caught.value) == (
+        f"cannot write {tmp_path / 'new'}: it exists; give a new folder; wrote {tmp_path / 'new-3'}: 4 nodes without poses, 0.00 m"
+    )
+    assert len(load_path(tmp_path / "new-3").nodes) == 4
+    recording.node.stop()
+    recording.node.destroy_node()
+
+
+def test_a_path_that_cannot_be_written_beside_its_folder_goes_to_that_of_temporary_files(
+    context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    recording = Recording(context, tmp_path / "disk" / "new")
+    for k in range(4):
+        recording.see(k, NS + k * TICK)
+    (tmp_path / "disk").rmdir()
+    (tmp_path / "disk").write_text("a file now")
+    with pytest.raises(PathFollowingError, match=r"disk is not a folder; give another folder; wrote .*temporary/new-2: 4 nodes"):
+        recording.node.stop()
+    assert len(load_path(tmp_path / "temporary" / "new-2").nodes) == 4
+    recording.node.destroy_node()
+
+
+def test_a_path_that_is_as_long_as_can_be_read_is_written(context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_folder, "MAX_PIXELS", 3 * WIDTH * HEIGHT)
+    recording = Recording(context, tmp_path / "new")
+    for k in range(5):
+        recording.see(k, NS + k * TICK)
+    assert len(load_path(tmp_path / "new").nodes) == 3 and recording.node._input is None
+    recording.node.stop()
+    recording.node.destroy_node()
+
+
+def test_a_lens_that_sees_behind_itself_is_refused_at_the_first_image_of_a_pinhole_path(context: Any, tmp_path: Path) -> None:
+    recording = Recording(context, tmp_path / "new", use_camera_info=True)
+    # Equidistant, 15 pixels a radian: the 96 pixels would be 366 degrees, of which 219.75 are searched.
+    info = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="equidistant", d=[0.0] * 4)
+    info.k = [15.0, 0.0, 47.5, 0.0, 15.0, 31.5, 0.0, 0.0, 1.0]
+    recording.node._input._on_info("front", info)
+    recording.see(0, NS)
+    assert recording.node._recorder.nodes == 0
+    line = "the camera sees 220 degrees, a pinhole camera of a path at most 179; set hfov_deg, to 120 for example"
+    with pytest.raises(PathFollowingError, match=f"no path is written: no image could be used: camera/image_raw: {line}"):
+        recording.node.stop()
+    recording.node.destroy_node()
 
 
 def test_a_robot_that_is_pushed_is_localised_by_its_images_alone(context: Any, folder: Path) -> None:

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_path_following import path_folder
 from gibson_path_following.errors import PathFolderError
-from gibson_path_following.path_folder import check_path, load_path, save_path
+from gibson_path_following.path_folder import check_folder, check_path, load_path, max_nodes, new_folder, save_path
 from gibson_path_following.types import PathNode, RecordedPath, Velocity
 from support.path_views import STEP_NS, fisheye_view, straight_path
 
@@ -57,6 +58,82 @@ def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(PathFolderError, match=r"cannot write .*file/a: "):
         save_path(straight_path(2), tmp_path / "file" / "a")
     assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_an_older_path_stays_if_the_new_one_cannot_take_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_path(straight_path(3), tmp_path / "a")
+    rename = Path.rename
+
+    def fail_for_the_draft(self: Path, target: Path) -> Path:
+        if self.suffix == ".part":
+            raise OSError(5, "Input/output error")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", fail_for_the_draft)
+    with pytest.raises(PathFolderError, match=r"cannot write .*a: Input/output error"):
+        save_path(straight_path(2), tmp_path / "a", replace=True)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a"] and len(load_path(tmp_path / "a").nodes) == 3
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "images/notes.txt"])
+def test_a_folder_that_holds_other_files_is_not_replaced(tmp_path: Path, name: str) -> None:
+    save_path(straight_path(3), tmp_path / "a")
+    (tmp_path / "a" / name).write_text("mine")
+    for write in (
+        lambda: check_folder(tmp_path / "a", replace=True),
+        lambda: save_path(straight_path(2), tmp_path / "a", replace=True),
+    ):
+        with pytest.raises(PathFolderError, match=f"a: it holds '{name}' besides a path, which would be deleted; move that away"):
+            write()
+    assert (tmp_path / "a" / name).read_text() == "mine"
+
+
+def test_a_path_of_another_recorder_that_was_faster_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = path_folder._write
+
+    def write_late(path: RecordedPath, draft: Path) -> None:
+        write(path, draft)
+        (tmp_path / "a").mkdir()
+
+    monkeypatch.setattr(path_folder, "_write", write_late)
+    with pytest.raises(PathFolderError, match=r"a: it exists; give a new folder"):
+        save_path(straight_path(2), tmp_path / "a")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_link_to_a_path_stays_one_that_leads_to_the_new_path(tmp_path: Path) -> None:
+    save_path(straight_path(3), tmp_path / "monday")
+    (tmp_path / "newest").symlink_to("monday")
+    save_path(straight_path(2), tmp_path / "newest", replace=True)
+    assert (tmp_path / "newest").is_symlink() and len(load_path(tmp_path / "monday").nodes) == 2
+
+
+def test_names_of_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    save_path(straight_path(2), "~/deeper/kitchen")
+    assert len(load_path(tmp_path / "deeper/kitchen").nodes) == len(load_path("~/deeper/kitchen").nodes) == 2
+    save_path(straight_path(2), tmp_path / ("n" * 255))
+    monkeypatch.chdir(tmp_path)
+    for name, words in (
+        (".", "it exists; give a new folder"),
+        ("..", "it exists; give a new folder"),
+        ("/", "it exists; give a new folder"),
+        ("n" * 256, "File name too long; give another folder"),
+        ("a\0b", "embedded null byte; give another folder"),
+        ("/proc/path", "No such file or directory; give another folder"),  # no permission tells
+        ("deeper/kitchen/path.yaml/a", "path.yaml is not a folder; give another folder"),
+    ):
+        with pytest.raises(PathFolderError, match=words):
+            check_folder(name)
+    with pytest.raises(PathFolderError, match="it exists without a path in it"):
+        check_folder("/", replace=True)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["deeper", "n" * 255]
+
+
+def test_a_new_folder_beside_another_has_the_next_number(tmp_path: Path) -> None:
+    for number in (2, 3):
+        assert new_folder(tmp_path / "a") == tmp_path / f"a-{number}"
+        (tmp_path / f"a-{number}").mkdir()
 
 
 def _edit(name: str, old: str, new: str) -> Callable[[Path], None]:
@@ -147,3 +224,41 @@ def test_a_path_must_have_nodes_that_belong_together() -> None:
         check_path(replace(path, nodes=path.nodes[::-1]))
     with pytest.raises(PathFolderError, match=r"node 0 has 1 images, a fisheye_pair camera has 2"):
         check_path(replace(path, camera="fisheye_pair"))
+
+
+def test_a_path_is_written_only_within_the_limits_of_reading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = straight_path(3)
+    last = path.nodes[2]
+    for spoilt, words in (
+        (replace(path, hfov=3.5), "hfov_deg is 200.535228, must be a number from 1 to 179"),
+        (replace(path, spacing=0.0), "spacing_m is 0.0, must be a number from 0.001 to 100"),
+        (replace(path, nodes=(*path.nodes[:2], replace(last, distance=float("inf")))), "the distance of node 2 is inf, must be"),
+        (replace(path, nodes=(*path.nodes[:2], replace(last, pose=(0.0, 1e308, 0.0)))), r"the y of node 2 is 1e\+308, must be"),
+        (
+            replace(path, nodes=(*path.nodes[:2], replace(last, velocities=((0, Velocity(0.0, 1e9)),)))),
+            "the velocity of node 2 is",
+        ),
+        (
+            replace(path, nodes=tuple(replace(node, view=(node.view[0][:4],)) for node in path.nodes)),
+            "height is 4, must be a whole",
+        ),
+    ):
+        with pytest.raises(PathFolderError, match=f"cannot write .*a: {words}"):
+            save_path(spoilt, tmp_path / "a")
+    monkeypatch.setattr(path_folder, "MAX_PIXELS", 2 * 96 * 64)
+    assert max_nodes("pinhole", 96, 64) == 2 and max_nodes("fisheye_pair", 96, 64) == 1
+    save_path(straight_path(2), tmp_path / "a")
+    with pytest.raises(PathFolderError, match="its images have 0 megapixels, at most 0 are read; record smaller ones"):
+        check_path(path)
+    monkeypatch.setattr(path_folder, "MAX_VELOCITIES", 2)
+    with pytest.raises(PathFolderError, match="a path has at most 2 velocities, this one 3; record shorter ones"):
+        check_path(path)
+
+
+def test_as_many_velocities_as_are_written_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_folder, "MAX_VELOCITIES", 1000)
+    longest = Velocity(-1.2345678901234567e-101, -1.2345678901234567e-102)
+    path = straight_path(2)
+    first = replace(path.nodes[0], velocities=tuple((10**18 + k, longest) for k in range(999)))
+    save_path(replace(path, nodes=(first, path.nodes[1])), tmp_path / "a")
+    assert load_path(tmp_path / "a").nodes[0].velocities == first.velocities

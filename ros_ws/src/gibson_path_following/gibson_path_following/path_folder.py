@@ -15,8 +15,11 @@ import csv
 import io
 import math
 import os
+import re
+import secrets
 import shutil
 import stat
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -38,14 +41,19 @@ MAX_SIDE = 4096
 """Width and height of an image, pixels."""
 MAX_PIXELS = 2**30
 """Pixels of all images of a path, which are kept in memory."""
-_MAX_TEXT_BYTES = 16 * 2**20
-_MAX_IMAGE_BYTES = 64 * 2**20
-_MAX_VELOCITIES = 1_000_000
-_MAX_VALUE = 1e8
+MAX_VELOCITIES = 1_000_000
+"""Velocities of a path."""
+MAX_VALUE = 1e8
 """Largest distance, coordinate, yaw or velocity, metres and radians."""
+_MAX_ROW_BYTES = 160
+"""Bytes of a row, on average: six numbers of 25 digits."""
+_MAX_IMAGE_BYTES = 64 * 2**20
 _KEYS = ("format", "camera", "hfov_deg", "spacing_m", "nodes", "width", "height")
 _NODE_COLUMNS = ("node", "stamp_ns", "distance_m", "x_m", "y_m", "yaw_rad")
 _VELOCITY_COLUMNS = ("node", "after_ns", "linear_mps", "angular_radps")
+_IMAGE_NAME = re.compile(r"\d{6}_[a-z]+\.png", re.ASCII)
+_MAX_COPIES = 1000
+"""Number up to which ``new_folder`` counts."""
 
 
 def image_name(node: int, camera: str) -> str:
@@ -53,63 +61,136 @@ def image_name(node: int, camera: str) -> str:
     return f"{IMAGES_FOLDER}/{node:06d}_{camera}.png"
 
 
+def max_nodes(camera: CameraKind, width: int, height: int) -> int:
+    """Returns the largest number of nodes of a path with images of a size, pixels."""
+    return min(MAX_NODES, MAX_PIXELS // (width * height * len(IMAGES_OF[camera])))
+
+
 def save_path(path: RecordedPath, folder: str | Path, *, replace: bool = False) -> None:
     """Writes a path; the folder appears complete or not at all.
 
     Args:
         path: the path.
-        folder: a new folder.
-        replace: whether the folder may be one with a path, which is replaced.
+        folder: a new folder; ~ is the home folder.
+        replace: whether the folder may be one with a path, which is replaced. It stays if the new one cannot be written.
 
     Raises:
         PathFolderError: the folder exists, or cannot be written; or the path cannot be.
     """
-    folder = Path(folder)
+    folder = expanded(folder)
     check_path(path, f"cannot write {folder}")
     check_folder(folder, replace=replace)
-    draft = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     try:
+        target = folder.resolve()  # of a link: what it leads to
+        # Short: the name of the folder may be as long as the file system allows.
+        draft, old = (target.with_name(f".path.{secrets.token_hex(4)}.{kind}") for kind in ("part", "old"))
         draft.mkdir(parents=True)
         try:
             _write(path, draft)
-            if folder.exists():
-                shutil.rmtree(folder)
-            draft.rename(folder)
+            check_folder(folder, replace=replace)  # images take a while: another recorder may have been faster
+            _put_in_place(draft, target, old)
         finally:
             shutil.rmtree(draft, ignore_errors=True)
     except (OSError, ValueError) as error:
         raise PathFolderError(f"cannot write {folder}: {_reason(error)}") from error
 
 
+def _put_in_place(draft: Path, target: Path, old: Path) -> None:
+    """Renames ``draft`` to ``target``; one that exists is ``old`` meanwhile, and is removed at last."""
+    if target.exists():
+        target.rename(old)
+    try:
+        draft.rename(target)
+    except OSError:
+        if old.exists():
+            old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
 def check_folder(folder: str | Path, *, replace: bool = False) -> None:
     """Checks that a path may be written to a folder.
 
     Args:
-        folder: a new folder.
-        replace: whether the folder may be one with a path.
+        folder: a new folder; ~ is the home folder.
+        replace: whether the folder may be one with a path, and nothing else.
 
     Raises:
-        PathFolderError: it exists.
+        PathFolderError: it exists, holds other files, too, or cannot be written.
     """
-    folder = Path(folder)
+    folder = expanded(folder)
     try:
-        if not folder.exists() or (replace and (folder / SETTINGS_FILE).is_file()):
-            return
-    except (OSError, ValueError) as error:
-        raise PathFolderError(f"cannot write {folder}: {_reason(error)}") from error
-    if replace:
+        if folder.exists():
+            _check_replaceable(folder, replace)
+        parent = folder.resolve().parent
+        while not parent.exists():
+            parent = parent.parent
+        if not parent.is_dir():
+            raise PathFolderError(f"cannot write {folder}: {parent} is not a folder; give another folder")
+        Path(
+            tempfile.mkdtemp(prefix=".path.", dir=parent)
+        ).rmdir()  # permissions alone do not tell: the disk may be read-only or full
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: links that lead to each other
+        raise PathFolderError(f"cannot write {folder}: {_reason(error)}; give another folder") from error
+
+
+def _check_replaceable(folder: Path, replace: bool) -> None:
+    is_path = (folder / SETTINGS_FILE).is_file()
+    if not replace:
+        hint = ", or set replace to true" if is_path else ""
+        raise PathFolderError(f"cannot write {folder}: it exists; give a new folder{hint}")
+    if not is_path:
         raise PathFolderError(f"cannot write {folder}: it exists without a path in it; give a new folder")
-    hint = ", or set replace to true" if (folder / SETTINGS_FILE).is_file() else ""
-    raise PathFolderError(f"cannot write {folder}: it exists; give a new folder{hint}")
+    of_path = {SETTINGS_FILE, NODES_FILE, VELOCITIES_FILE, IMAGES_FOLDER}
+    foreign = [entry.name for entry in folder.iterdir() if entry.name not in of_path]
+    if not foreign and (folder / IMAGES_FOLDER).is_dir():
+        foreign = [
+            f"{IMAGES_FOLDER}/{entry.name}"
+            for entry in (folder / IMAGES_FOLDER).iterdir()
+            if not _IMAGE_NAME.fullmatch(entry.name)
+        ]
+    if foreign:
+        raise PathFolderError(
+            f"cannot write {folder}: it holds {quoted(min(foreign))} besides a path, which would be deleted; move that away, or give a new folder"
+        )
+
+
+def new_folder(folder: str | Path) -> Path:
+    """Returns the first of ``folder``-2, -3 and so on that does not exist.
+
+    Raises:
+        PathFolderError: there are too many, or it cannot be looked up.
+    """
+    folder = expanded(folder)
+    try:
+        target = folder.resolve()
+        for number in range(2, _MAX_COPIES):
+            copy = target.with_name(f"{target.name}-{number}")
+            if not copy.exists():
+                return copy
+    except (OSError, ValueError, RuntimeError) as error:
+        raise PathFolderError(f"cannot write beside {folder}: {_reason(error)}") from error
+    raise PathFolderError(f"cannot write beside {folder}: {folder.name}-2 to {folder.name}-{_MAX_COPIES - 1} exist; remove some")
+
+
+def expanded(folder: str | Path) -> Path:
+    """Returns a folder with the home folder for a leading ~."""
+    try:
+        return Path(folder).expanduser()
+    except RuntimeError:  # there is no such user
+        return Path(folder)
 
 
 def load_path(folder: str | Path) -> RecordedPath:
     """Reads a path.
 
+    Args:
+        folder: where it was written; ~ is the home folder.
+
     Raises:
         PathFolderError: the folder holds no path that can be read; the message names the file and the remedy.
     """
-    folder = Path(folder)
+    folder = expanded(folder)
     settings = _read_settings(folder / SETTINGS_FILE)
     count: int = settings["nodes"]
     camera = cast("CameraKind", settings["camera"])
@@ -152,6 +233,9 @@ def check_path(path: RecordedPath, what: str = "the path") -> None:
     if not 2 <= len(path.nodes) <= MAX_NODES:
         raise PathFolderError(f"{what}: a path has 2 to {MAX_NODES} nodes, this one {len(path.nodes)}; drive on while it records")
     shape = path.nodes[0].view[0].shape if path.nodes[0].view else ()
+    rows = sum(len(node.velocities) for node in path.nodes)
+    if rows > MAX_VELOCITIES:
+        raise PathFolderError(f"{what}: a path has at most {MAX_VELOCITIES} velocities, this one {rows}; record shorter ones")
     for i, node in enumerate(path.nodes):
         if len(node.view) != len(IMAGES_OF[path.camera]):
             raise PathFolderError(
@@ -165,12 +249,22 @@ def check_path(path: RecordedPath, what: str = "the path") -> None:
                 )
         if i and (node.stamp_ns <= path.nodes[i - 1].stamp_ns or node.distance < path.nodes[i - 1].distance):
             raise PathFolderError(f"{what}: node {i}: stamps must grow and distances must not shrink from node to node")
+        numbers = [("distance", node.distance), *zip(("x", "y", "yaw"), node.pose or (), strict=False)]
+        numbers += [("velocity", value) for _, velocity in node.velocities for value in (velocity.linear, velocity.angular)]
+        for name, number in numbers:
+            if not abs(number) <= MAX_VALUE:
+                raise PathFolderError(f"{what}: the {name} of node {i} is {number:g}, must be at most {MAX_VALUE:g}")
+    _check_settings(_settings(path), what)
+
+
+def _settings(path: RecordedPath) -> dict[str, Any]:
+    height, width = path.nodes[0].view[0].shape[:2]
+    values = (FORMAT, path.camera, round(math.degrees(path.hfov), 6), float(path.spacing), len(path.nodes), width, height)
+    return dict(zip(_KEYS, values, strict=True))
 
 
 def _write(path: RecordedPath, folder: Path) -> None:
-    height, width = path.nodes[0].view[0].shape[:2]
-    values = (FORMAT, path.camera, round(math.degrees(path.hfov), 6), float(path.spacing), len(path.nodes), width, height)
-    (folder / SETTINGS_FILE).write_text(yaml.safe_dump(dict(zip(_KEYS, values, strict=True)), sort_keys=False), encoding="utf-8")
+    (folder / SETTINGS_FILE).write_text(yaml.safe_dump(_settings(path), sort_keys=False), encoding="utf-8")
     (folder / IMAGES_FOLDER).mkdir()
     rows: list[Sequence[object]] = []
     velocities: list[Sequence[object]] = []
@@ -218,26 +312,31 @@ def _read_settings(path: Path) -> dict[str, Any]:
         raise PathFolderError(f"{path}: format is {version}, this version reads {FORMAT}; update gibson_path_following")
     if not isinstance(found["camera"], str) or found["camera"] not in IMAGES_OF:
         raise PathFolderError(f"{path}: camera is {quoted(found['camera'])}, must be one of {', '.join(IMAGES_OF)}")
+    _check_settings(found, str(path))
+    return found
+
+
+def _check_settings(found: dict[str, Any], what: str) -> None:
+    """Raises PathFolderError for a value of path.yaml, of a known camera, that is not allowed; ``what``: begin of the message."""
     widest = 179.0 if found["camera"] == "pinhole" else 360.0
     for key, least, most in (("hfov_deg", 1.0, widest), ("spacing_m", 0.001, 100.0)):
         value = found[key]
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
-            raise PathFolderError(f"{path}: {key} is {quoted(value)}, must be a number from {least:g} to {most:g}")
+            raise PathFolderError(f"{what}: {key} is {quoted(value)}, must be a number from {least:g} to {most:g}")
     for key, least_count, most_count in (("nodes", 2, MAX_NODES), ("width", 8, MAX_SIDE), ("height", 8, MAX_SIDE)):
         value = found[key]
         if isinstance(value, bool) or not isinstance(value, int) or not least_count <= value <= most_count:
-            raise PathFolderError(f"{path}: {key} is {quoted(value)}, must be a whole number from {least_count} to {most_count}")
+            raise PathFolderError(f"{what}: {key} is {quoted(value)}, must be a whole number from {least_count} to {most_count}")
     pixels = found["nodes"] * found["width"] * found["height"] * len(IMAGES_OF[found["camera"]])
     if pixels > MAX_PIXELS:
         raise PathFolderError(
-            f"{path}: its images have {pixels / 1e6:.0f} megapixels, at most {MAX_PIXELS / 1e6:.0f} are read; record smaller ones"
+            f"{what}: its images have {pixels / 1e6:.0f} megapixels, at most {MAX_PIXELS / 1e6:.0f} are read; record smaller ones"
         )
-    return found
 
 
 def _read_velocities(path: Path, nodes: int) -> list[list[tuple[int, Velocity]]]:
     found: list[list[tuple[int, Velocity]]] = [[] for _ in range(nodes)]
-    for i, row in enumerate(_read_rows(path, _VELOCITY_COLUMNS, _MAX_VELOCITIES)):
+    for i, row in enumerate(_read_rows(path, _VELOCITY_COLUMNS, MAX_VELOCITIES)):
         where = f"{path}, line {i + 2}"
         node, after = _whole(where, "node", row[0]), _whole(where, "after_ns", row[1])
         if not 0 <= node < nodes:
@@ -252,7 +351,7 @@ def _read_velocities(path: Path, nodes: int) -> list[list[tuple[int, Velocity]]]
 def _read_rows(path: Path, columns: Sequence[str], most: int) -> list[list[str]]:
     try:
         # Spreadsheets write a byte order mark, and editors a blank line at the end.
-        text = _read(path, _MAX_TEXT_BYTES).decode("utf-8-sig").rstrip()
+        text = _read(path, (most + 1) * _MAX_ROW_BYTES).decode("utf-8-sig").rstrip()
         rows = list(csv.reader(io.StringIO(text, newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
         raise PathFolderError(f"{path} is not a CSV file in UTF-8: {_reason(error)}; record the path again") from error
@@ -312,8 +411,8 @@ def _number(where: str, key: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not abs(value) <= _MAX_VALUE:
-        raise PathFolderError(f"{where}: {key} is {quoted(text)}, must be a number of at most {_MAX_VALUE:g}")
+    if not abs(value) <= MAX_VALUE:
+        raise PathFolderError(f"{where}: {key} is {quoted(text)}, must be a number of at most {MAX_VALUE:g}")
     return value
 
 

@@ -5,14 +5,27 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 from gibson_path_following.errors import check_ranges
 from gibson_path_following.motions import NS_PER_S, motion_between
+from gibson_path_following.path_folder import MAX_NODES, MAX_VALUE, MAX_VELOCITIES
 from gibson_path_following.types import STOP, CameraKind, PathNode, RecordedPath, Velocity, View
 
 _STANDING = 0.01
 """Distance, metres, and turn, radians, since the first node within which the robot stands."""
+_MAX_COMMAND = 100.0
+"""Largest command that counts, m/s and rad/s."""
+_MAX_SPEED = 10.0
+"""Speed by odometry from which on it has jumped, m/s."""
+_STEP_NS = 1_000_000_000
+"""Step of stamps, back or ahead, that needs the next stamp to be believed, ns."""
+_PATIENCE_NS = 5_000_000_000
+"""Time without odometry and commands from which on a warning is due, ns."""
+_OTHER_TIMES = "cmd_vel came at other times than the images; set use_sim_time as the node of the camera has it"
+_Item = TypeVar("_Item")
 Pose = tuple[float, float, float]
 """x, y and yaw, metres and radians."""
 
@@ -42,16 +55,72 @@ class RecorderSettings:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Passed(Generic[_Item]):
+    """What a ``StampFilter`` passes on."""
+
+    items: tuple[tuple[int, _Item], ...] = ()
+    """Stamps, ns, which grow, and what they belong to."""
+    is_jump: bool = False
+    """Whether time has gone back before the items: a reset of the simulation, or a bag that plays again."""
+    outlier_ns: int | None = None
+    """How far the stamp of an item that was dropped is ahead of the next one, ns, negative = behind; None = none was dropped."""
+
+
+class StampFilter(Generic[_Item]):
+    """Drops a single item whose stamp is far from those before and after it; passes the others on in their order.
+
+    An item whose stamp goes back, or ahead by more than a second and three of the last steps, is held until the next one shows whether time
+    has jumped.
+    """
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+        self._step_ns = 0
+        """Last step of the stamps, ns."""
+        self._held: tuple[int, _Item] | None = None
+
+    def add(self, stamp_ns: int, item: _Item) -> Passed[_Item]:
+        """Adds an item; returns what is passed on."""
+        held, self._held = self._held, None
+        if held is None or self._last_ns is None:
+            return self._add(stamp_ns, item)
+        held_ns = held[0]
+        if stamp_ns == held_ns:
+            self._held = held
+            return Passed()
+        if stamp_ns > held_ns and not (held_ns < self._last_ns < stamp_ns):
+            is_jump = held_ns < self._last_ns
+            self._last_ns, self._step_ns = stamp_ns, stamp_ns - held_ns
+            return Passed((held, (stamp_ns, item)), is_jump)
+        return replace(self._add(stamp_ns, item), outlier_ns=held_ns - stamp_ns)
+
+    def _add(self, stamp_ns: int, item: _Item) -> Passed[_Item]:
+        step_ns = 0 if self._last_ns is None else stamp_ns - self._last_ns
+        if abs(step_ns) > max(_STEP_NS, 3 * self._step_ns):
+            self._held = (stamp_ns, item)
+            return Passed()
+        if step_ns <= 0 and self._last_ns is not None:  # late, or twice
+            return Passed()
+        self._last_ns, self._step_ns = stamp_ns, step_ns
+        return Passed(((stamp_ns, item),))
+
+
 class PathRecorder:
     """Collects the nodes of one path. Not thread-safe."""
 
-    def __init__(self, camera: CameraKind, hfov: float, settings: RecorderSettings | None = None) -> None:
+    def __init__(
+        self, camera: CameraKind, hfov: float, settings: RecorderSettings | None = None, *,
+        max_nodes: int = MAX_NODES, warn: Callable[[str], None] | None = None,
+    ) -> None:  # fmt: skip
         """Begins without nodes. The first node is the last view before the robot drives.
 
         Args:
             camera: kind of the camera.
             hfov: horizontal field of view of an image, radians; of a fisheye across its circle.
             settings: None = the defaults.
+            max_nodes: number of nodes from which on the path is full, as of ``path_folder.max_nodes``.
+            warn: gets a line about what is not as it should be, once each; None = none is wanted.
         """
         self.settings = settings or RecorderSettings()
         self._camera = camera
@@ -59,6 +128,15 @@ class PathRecorder:
         """Horizontal field of view, radians; it may be set until ``finish``."""
         self._commands: list[tuple[int, Velocity]] = []
         self._odometry: deque[tuple[int, Pose]] = deque(maxlen=1000)
+        self._odometry_stamps: StampFilter[Pose] = StampFilter()
+        self._max_nodes = max_nodes
+        self._warn, self._warned = warn, set[str]()
+        self._has_odometry = self._has_bad_odometry = self._has_commands = False
+        """Whether odometry has come that can be used, some that cannot, and commands that can."""
+        self._first_ns: int | None = None
+        """Stamp of the first view, ns."""
+        self._views = 0
+        """Number of views that were used."""
         self._waiting: deque[tuple[int, View]] = deque(maxlen=100)
         self._nodes: list[PathNode] = []
         self._last: tuple[int, View, float, Pose | None] | None = None
@@ -77,8 +155,24 @@ class PathRecorder:
         """Length of the path so far, metres."""
         return self._last[2] if self._last is not None else 0.0
 
-    def add_command(self, now_ns: int, velocity: Velocity) -> None:
-        """Adds a command that holds from ``now_ns`` on; one that is older than the last is dropped."""
+    @property
+    def is_full(self) -> bool:
+        """Whether the path has as many nodes or commands as can be read."""
+        return len(self._nodes) >= self._max_nodes or len(self._commands) + len(self._nodes) >= MAX_VELOCITIES
+
+    def add_command(self, now_ns: int, velocity: Velocity | None) -> None:
+        """Adds a command that holds from ``now_ns`` on; one that is older than the last, or that no robot can follow, is dropped.
+
+        Args:
+            now_ns: time of the command, ns, of the clock of the images.
+            velocity: None = it is not finite.
+        """
+        if velocity is None or not max(abs(velocity.linear), abs(velocity.angular)) <= _MAX_COMMAND:
+            self._warn_once(f"a command is not finite, or above {_MAX_COMMAND:g} m/s or rad/s: it is left out", "command")
+            return
+        self._has_commands = True
+        if self.is_full:
+            return
         if self._commands and now_ns < self._commands[-1][0]:
             return
         if self._commands and now_ns == self._commands[-1][0]:  # replaced before it took effect
@@ -86,11 +180,28 @@ class PathRecorder:
         if not self._commands or self._commands[-1][1] != velocity:
             self._commands.append((now_ns, velocity))
 
-    def add_odometry(self, stamp_ns: int, pose: Pose) -> None:
-        """Adds an odometry pose, odometry frame; one that is not newer than the last is dropped."""
-        if self._odometry and stamp_ns <= self._odometry[-1][0]:
+    def add_odometry(self, stamp_ns: int, pose: Pose | None) -> None:
+        """Adds an odometry pose, odometry frame; one that is not newer than the last, and a single one of another time, are dropped.
+
+        Args:
+            stamp_ns: its stamp, ns.
+            pose: None = it has no finite position, or no rotation.
+        """
+        if pose is None or not max(map(abs, pose)) <= MAX_VALUE:
+            self._warn_once(
+                f"a message of odom has no rotation, or no position within {MAX_VALUE:g} m: it is left out; correct its driver",
+                "pose",
+            )
+            self._has_bad_odometry = True
             return
-        self._odometry.append((stamp_ns, pose))
+        self._has_odometry = True
+        passed = self._odometry_stamps.add(stamp_ns, pose)
+        if passed.outlier_ns is not None:
+            self._warn_once(f"odom: {outlier_line(passed.outlier_ns)}", "odometry")
+        if passed.is_jump:
+            self._use_waiting(at_once=True)
+            self._odometry.clear()
+        self._odometry.extend(passed.items)
         self._use_waiting()
 
     def add_view(self, stamp_ns: int, view: View) -> None:
@@ -106,9 +217,13 @@ class PathRecorder:
 
         The path may be too short to be followed: ``path_folder.check_path`` checks that.
         """
-        while self._waiting:
-            self._use(*self._waiting.popleft())
-        if self._last is not None and self._last[0] > self._nodes[-1].stamp_ns and self._driven > 0.25 * self.settings.spacing:
+        self._use_waiting(at_once=True)
+        if (
+            not self.is_full
+            and self._last is not None
+            and self._last[0] > self._nodes[-1].stamp_ns
+            and self._driven > 0.25 * self.settings.spacing
+        ):
             self._add_node(*self._last)
         times = [time_ns for time_ns, _ in self._commands]
         ends = [node.stamp_ns for node in self._nodes[1:]]
@@ -118,46 +233,110 @@ class PathRecorder:
         ]
         return RecordedPath(self._camera, self.hfov, tuple(nodes), self.settings.spacing)
 
-    def _use_waiting(self) -> None:
+    def missing(self) -> str:
+        """Returns why there are fewer than 2 nodes, and the remedy."""
+        if self._views < 2:
+            return f"the number of images is {self._views}; record for longer"
+        if not (self._has_odometry or self._has_commands):
+            unusable = (
+                "odom has no usable pose, and no cmd_vel has come"
+                if self._has_bad_odometry
+                else "neither odom nor cmd_vel has come"
+            )
+            none = unusable if self.settings.uses_odometry else "no cmd_vel has come"
+            return f"{none}, so that no distance is known; check the topics, or set interval for images alone"
+        if self._has_odometry and not (self._nodes and self._nodes[0].pose):
+            return self._without_poses()
+        if self._last is not None and self._commands and self._commands[0][0] > self._last[0]:
+            return _OTHER_TIMES
+        by = "odom" if self._has_odometry and self.settings.uses_odometry else "cmd_vel"
+        return f"the robot has not driven {self.settings.spacing:g} m by {by}; drive on while it records"
+
+    def remarks(self, path: RecordedPath) -> tuple[str, ...]:
+        """Returns what a path of this recording lacks, a phrase each."""
+        found = []
+        if self.settings.uses_odometry and path.nodes[0].pose is None:
+            found.append(self._without_poses())
+        if path.length > 0.0 and not any(v != STOP for node in path.nodes for _, v in node.velocities):
+            found.append(f"all its velocities are 0: {_OTHER_TIMES if self._has_commands else 'no cmd_vel has come'}")
+        return tuple(found)
+
+    def _use_waiting(self, *, at_once: bool = False) -> None:
+        """Uses the views whose odometry has come or is late; with ``at_once`` all."""
         timeout_ns = round(self.settings.odometry_timeout * NS_PER_S)
         while self._waiting:
             stamp_ns = self._waiting[0][0]
-            is_late = self._waiting[-1][0] - stamp_ns >= timeout_ns
+            is_late = at_once or self._waiting[-1][0] - stamp_ns >= timeout_ns
             if self.settings.uses_odometry and not is_late and (not self._odometry or self._odometry[-1][0] < stamp_ns):
                 return
             self._use(*self._waiting.popleft())
 
     def _use(self, stamp_ns: int, view: View) -> None:
+        if self.is_full:
+            return
         pose = self._pose(stamp_ns) if self.settings.uses_odometry else None
+        self._views += 1
+        self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
         if self._last is None:
             if pose is None and self._odometry:  # of before the first odometry: the path begins with the next view
+                if stamp_ns - self._first_ns > _PATIENCE_NS:
+                    self._warn_once(f"no node is recorded: {self._without_poses()}", "missing")
                 return
             self._last = (stamp_ns, view, 0.0, pose)
             self._add_node(*self._last)
             return
         before_ns, _, distance, before = self._last
-        if pose is not None and before is not None:
-            step = math.hypot(pose[0] - before[0], pose[1] - before[1])
-            turn = abs(math.remainder(pose[2] - before[2], math.tau))
-        else:
-            driven = motion_between(self._commands, before_ns, stamp_ns)
-            step, turn = abs(driven.distance), abs(driven.turn)
+        step, turn = self._motion(before_ns, before, stamp_ns, pose)
         self._driven, self._turned = self._driven + step, self._turned + turn
         is_due = 0.0 < self.settings.interval * NS_PER_S <= stamp_ns - self._nodes[-1].stamp_ns
         stands = len(self._nodes) == 1 and self._driven < _STANDING and self._turned < _STANDING
         if stands and self.settings.interval == 0.0:  # the path has not begun
+            if not (self._has_odometry or self._has_commands) and stamp_ns - self._first_ns > _PATIENCE_NS:
+                self._warn_once(self.missing(), "missing")
             self._last = (stamp_ns, view, 0.0, pose)
             self._nodes.clear()
             self._add_node(*self._last)
+            self._drop_commands(stamp_ns)
             return
         self._last = (stamp_ns, view, distance + step, pose)
         # Rounded to the nearest view: half a step early is nearer than half a step late.
         if is_due or self._driven + step / 2.0 >= self.settings.spacing or self._turned + turn / 2.0 >= self.settings.turn:
             self._add_node(*self._last)
 
+    def _motion(self, before_ns: int, before: Pose | None, stamp_ns: int, pose: Pose | None) -> tuple[float, float]:
+        """Returns distance, metres, and turn, radians, between two views: by odometry, or by the commands where it is missing or has jumped."""
+        if pose is not None and before is not None:
+            step = math.hypot(pose[0] - before[0], pose[1] - before[1])
+            seconds = (stamp_ns - before_ns) / NS_PER_S
+            if step <= _MAX_SPEED * seconds:
+                return step, abs(math.remainder(pose[2] - before[2], math.tau))
+            self._warn_once(
+                f"odometry has jumped by {step:g} m within {seconds:.2f} s: the distance there is that of the commands, and the poses of the "
+                "path do not fit together; use odometry that does not jump (odom, not map)",
+                "jump",
+            )
+        driven = motion_between(self._commands, before_ns, stamp_ns)
+        return abs(driven.distance), abs(driven.turn)
+
+    def _drop_commands(self, stamp_ns: int) -> None:
+        """Drops the commands that ended before a time, ns."""
+        del self._commands[: max(0, bisect_right(self._commands, stamp_ns, key=lambda each: each[0]) - 1)]
+
+    def _warn_once(self, line: str, kind: str) -> None:
+        if self._warn is not None and kind not in self._warned:
+            self._warn(line)
+        self._warned.add(kind)
+
     def _add_node(self, stamp_ns: int, view: View, distance: float, pose: Pose | None) -> None:
         self._nodes.append(PathNode(view, stamp_ns, distance, (), pose))
         self._driven = self._turned = 0.0
+        if len(self._nodes) == 2 and pose is None and self.settings.uses_odometry and self.settings.interval == 0.0:
+            self._warn_once(f"{self._without_poses()}: distances are those of the commands, and the path has no poses", "poses")
+
+    def _without_poses(self) -> str:
+        if self._has_odometry:
+            return "the stamps of odom are not those of the images; set use_sim_time for all nodes or for none, and synchronise the clocks"
+        return "odom has no usable pose" if self._has_bad_odometry else "no odom has come"
 
     def _pose(self, stamp_ns: int) -> Pose | None:
         """Returns the odometry pose at a time, ns, interpolated; None = no odometry within the timeout."""
@@ -187,3 +366,11 @@ class PathRecorder:
         last = first if end_ns is None else bisect_left(times, end_ns)
         held = self._commands[first - 1][1] if first else STOP
         return ((0, held), *((time_ns - stamp_ns, velocity) for time_ns, velocity in self._commands[first:last]))
+
+
+def outlier_line(ahead_ns: int) -> str:
+    """Returns what a warning says of a single stamp that is ahead of the next one, ns, negative = behind."""
+    return (
+        f"one stamp was {abs(ahead_ns) / NS_PER_S:.1f} s {'ahead of' if ahead_ns > 0 else 'behind'} the next one and is left out; "
+        "correct the driver"
+    )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import tempfile
+from pathlib import Path
 from typing import Any, cast
 
 from geometry_msgs.msg import Twist, TwistStamped
@@ -12,22 +14,23 @@ from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
-from gibson_path_following.errors import PathFollowingError
+from gibson_path_following.errors import PathFolderError, PathFollowingError
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import RecorderOptions
-from gibson_path_following.path_folder import check_folder, save_path
-from gibson_path_following.recording import PathRecorder, RecorderSettings
-from gibson_path_following.types import CameraKind, View
+from gibson_path_following.path_folder import MAX_NODES, check_folder, check_path, expanded, max_nodes, new_folder, save_path
+from gibson_path_following.recording import PathRecorder, RecorderSettings, StampFilter, outlier_line
+from gibson_path_following.types import CameraKind, RecordedPath, View
 
 
 class PathRecorderNode(Node):
     """Records a path as a folder of images, while any node drives the robot.
 
-    The folder is written when the recording ends: at path_recorder/stop, at Ctrl-C or SIGTERM, or when stamps go back (a reset of the
-    simulation). Until then the path is in memory alone.
+    The folder is written when the recording ends: at path_recorder/stop, at Ctrl-C or SIGTERM, when stamps go back (a reset of the
+    simulation), or when the path is as long as can be read. Until then the path is in memory alone. A path that cannot be written is kept:
+    path_recorder/stop tries again, and the end of the node writes it to a folder beside (NAME-2).
 
     Parameters: the fields of ``gibson_path_following.options.RecorderOptions``.
 
@@ -41,7 +44,7 @@ class PathRecorderNode(Node):
         path_recorder/nodes (std_msgs/Int32): number of nodes, with each new one.
 
     Services (std_srvs/Trigger):
-        path_recorder/start, path_recorder/stop: begins a path; ends it and writes its folder.
+        path_recorder/start, path_recorder/stop: begins a path; ends it and writes its folder, again if that failed.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -53,8 +56,12 @@ class PathRecorderNode(Node):
         super().__init__("path_recorder", **kwargs)
         self._options = o = declared(self, RecorderOptions)
         self.exit_code: int | None = None
+        self._folder = expanded(o.folder)
         self._input: CameraInput | None = None
         self._recorder: PathRecorder | None = None
+        self._unsaved: tuple[RecordedPath, str] | None = None
+        """A path that could not be written, and what to say of it once it is."""
+        self._views: StampFilter[View] = StampFilter()
         self._count_pub = self.create_publisher(Int32, "path_recorder/nodes", 10)
         self._reported = 0
         self.create_subscription(TwistStamped if o.stamped else Twist, "cmd_vel", self._on_command, 50)
@@ -65,104 +72,171 @@ class PathRecorderNode(Node):
         if o.autostart:
             self._start()
 
-    def _start(self) -> None:
-        """Begins to record.
+    def _start(self) -> str:
+        """Begins to record; returns what to say.
 
         Raises:
-            PathFollowingError: the folder exists.
+            PathFollowingError: the folder exists, or cannot be written.
         """
         o = self._options
-        check_folder(o.folder, replace=o.replace)
+        check_folder(self._folder, replace=o.replace)
         hfov = math.radians(o.hfov_deg) if o.hfov_deg > 0.0 else None
-        self._input = CameraInput(self, o, cast("CameraKind", o.camera), (o.width, o.height), hfov, self._on_view, self._on_jump)
+        # The stamps are checked here: a single bad one must not end the recording.
+        self._input = CameraInput(self, o, cast("CameraKind", o.camera), (o.width, o.height), hfov, self._on_view, lambda: None)
+        self._views = StampFilter()
         self._begin()
-        self.get_logger().info(f"recording a path for {o.folder}")
+        text = f"recording a path for {self._folder}"
+        if self._max_nodes < MAX_NODES:
+            text += f": at most {self._max_nodes} nodes, by the size of their images"
+        self.get_logger().info(text)
+        return text
+
+    @property
+    def _max_nodes(self) -> int:
+        return max_nodes(cast("CameraKind", self._options.camera), self._options.width, self._options.height)
 
     def _begin(self) -> None:
-        o = self._options
+        o, warn = self._options, self.get_logger().warning
         settings = RecorderSettings(o.spacing, math.radians(o.turn_deg), o.interval, o.use_odometry)
-        self._recorder, self._reported = PathRecorder(cast("CameraKind", o.camera), math.nan, settings), 0
+        self._recorder = PathRecorder(cast("CameraKind", o.camera), math.nan, settings, max_nodes=self._max_nodes, warn=warn)
+        self._reported = 0
 
-    def _save(self) -> str:
-        """Ends the recording and writes the folder; returns what was written."""
+    def _end(self) -> None:
+        """Ends the recording, and keeps its path until it is written.
+
+        Raises:
+            PathFollowingError: there is no path.
+        """
         recorder, camera = self._recorder, self._input
         self._recorder = self._input = None
-        if camera is not None:
-            camera.close()
-        if recorder is None or camera is None or camera.hfov is None:
-            raise PathFollowingError(f"no image has come from {', '.join(self._options.image_topics)}: no path is written")
+        if recorder is None or camera is None:
+            return
+        camera.close()
+        if camera.hfov is None:
+            topics = ", ".join(map(self.resolve_topic_name, self._options.image_topics))
+            reason = f"no image could be used: {camera.problem}" if camera.problem else f"no image has come from {topics}"
+            raise PathFollowingError(f"no path is written: {reason}")
         recorder.hfov = camera.hfov
         path = recorder.finish()
-        save_path(path, self._options.folder, replace=self._options.replace)
+        if len(path.nodes) < 2:
+            raise PathFollowingError(f"no path is written: {recorder.missing()}")
+        check_path(path, "no path is written")
         poses = "with poses" if path.nodes[0].pose is not None else "without poses"
-        return f"wrote {self._options.folder}: {len(path.nodes)} nodes {poses}, {path.length:.2f} m"
+        text = "; ".join((f"{len(path.nodes)} nodes {poses}, {path.length:.2f} m", *recorder.remarks(path)))
+        self._unsaved = (path, text)
+
+    def _save(self) -> str:
+        """Ends the recording and writes the folder; returns what was written. A path that cannot be written is kept.
+
+        Raises:
+            PathFollowingError: there is no path, or it cannot be written.
+        """
+        self._end()
+        return self._write(self._folder, replace=self._options.replace)
+
+    def _write(self, folder: Path, *, replace: bool = False) -> str:
+        if self._unsaved is None:
+            raise PathFollowingError("no path has been recorded; call path_recorder/start first")
+        path, text = self._unsaved
+        save_path(path, folder, replace=replace)
+        self._unsaved = None
+        return f"wrote {folder}: {text}"
+
+    def _write_elsewhere(self) -> str:
+        """Writes the path that could not be written beside its folder, or, if nothing can be written there, to that of temporary files."""
+        try:
+            return self._write(new_folder(self._folder))
+        except PathFolderError:
+            return self._write(new_folder(Path(tempfile.gettempdir()) / (self._folder.name or "path")))
 
     def _on_view(self, stamp_ns: int, view: View) -> None:
-        if self._recorder is not None:
-            self._recorder.add_view(stamp_ns, view)
-            self._report()
-
-    def _on_jump(self) -> None:
-        if self._recorder is None or self._recorder.nodes < 2:  # the robot has not driven yet
-            self._begin()
+        if self._recorder is None:
             return
+        passed = self._views.add(stamp_ns, view)
+        if passed.outlier_ns is not None:
+            self.get_logger().warning(f"images: {outlier_line(passed.outlier_ns)}", throttle_duration_sec=5.0)
+        if passed.is_jump and self._recorder.nodes < 2:  # the robot has not driven yet
+            self._begin()
+        elif passed.is_jump:
+            self._end_early("stamps went back")
+        for each_ns, each in passed.items:
+            if self._recorder is not None:
+                self._recorder.add_view(each_ns, each)
+                self._report()
+
+    def _end_early(self, reason: str) -> None:
+        """Ends the recording and writes it, since it cannot go on."""
         try:
             wrote = self._save()
         except PathFollowingError as error:
-            self.get_logger().error(f"the recording has ended, since stamps went back: {error}")
+            kept = f"; {self._kept}" if self._unsaved is not None else ""
+            self.get_logger().error(f"the recording has ended, since {reason}: {error}{kept}")
             return
         again = (
             "call path_recorder/start" if self._options.replace else "start the node with another folder, or with replace:=true"
         )
-        self.get_logger().warning(f"the recording has ended, since stamps went back: {wrote}; to record again, {again}")
+        self.get_logger().warning(f"the recording has ended, since {reason}: {wrote}; to record again, {again}")
+
+    @property
+    def _kept(self) -> str:
+        return f"the path is kept: call path_recorder/stop to try again, or end the node, which writes {self._folder.name}-2"
 
     def _on_command(self, msg: Any) -> None:
-        velocity = conversions.velocity_from(msg)
-        if self._recorder is not None and velocity is not None:
-            self._recorder.add_command(self.get_clock().now().nanoseconds, velocity)
+        if self._recorder is not None:
+            self._recorder.add_command(self.get_clock().now().nanoseconds, conversions.velocity_from(msg))
 
     def _on_odometry(self, msg: Any) -> None:
-        pose = conversions.pose_from(msg)
-        if self._recorder is not None and pose is not None:
-            self._recorder.add_odometry(conversions.stamp_ns(msg.header.stamp), pose)
+        if self._recorder is not None:
+            self._recorder.add_odometry(conversions.stamp_ns(msg.header.stamp), conversions.pose_from(msg))
             self._report()
 
     def _report(self) -> None:
         if self._recorder is not None and self._recorder.nodes != self._reported:
             self._reported = self._recorder.nodes
             self._count_pub.publish(Int32(data=self._reported))
+        if self._recorder is not None and self._recorder.is_full:
+            self._end_early(f"the path is as long as can be read ({self._recorder.nodes} nodes)")
 
     def _on_start(self, request: Any, response: Any) -> Any:
         if self._input is not None:
             response.success, response.message = False, "a path is being recorded already; call path_recorder/stop first"
             return response
+        if self._unsaved is not None:
+            response.success, response.message = False, f"the last path is not written yet; {self._kept}"
+            return response
         try:
-            self._start()
-            response.success, response.message = True, f"recording a path for {self._options.folder}"
+            response.success, response.message = True, self._start()
         except PathFollowingError as error:
             response.success, response.message = False, str(error)
         return response
 
     def _on_stop(self, request: Any, response: Any) -> Any:
-        if self._input is None:
+        if self._input is None and self._unsaved is None:
             response.success, response.message = False, "no path is being recorded; call path_recorder/start first"
             return response
         try:
             response.success, response.message = True, self._save()
             self.get_logger().info(response.message)
         except PathFollowingError as error:
-            response.success, response.message = False, str(error)
-            self.get_logger().error(str(error))
+            response.success, response.message = False, f"{error}; {self._kept}" if self._unsaved is not None else str(error)
+            self.get_logger().error(response.message)
         return response
 
     def stop(self) -> None:
-        """Writes the path that is being recorded.
+        """Writes the path that is being recorded, or was not written yet.
 
         Raises:
-            PathFollowingError: it cannot be written.
+            PathFollowingError: there is none, or it was written elsewhere, or cannot be written.
         """
-        if self._input is not None:
+        if self._input is None and self._unsaved is None:
+            return
+        try:
             print(self._save(), flush=True)
+        except PathFolderError as error:
+            if self._unsaved is None:
+                raise
+            # The exit code must say that the folder does not hold this path.
+            raise PathFollowingError(f"{error}; {self._write_elsewhere()}") from error
 
 
 def main(args: list[str] | None = None) -> None:
