@@ -363,7 +363,7 @@ def test_bag_of_a_drive_has_every_command_and_lasts_to_the_last_step(start: Call
 @pytest.mark.parametrize(
     ("ending", "options"),
     [
-        ("duration", ("--duration", "3", "--drive", "{turn}")),
+        ("duration", ("--duration", "1.5", "--drive", "{turn}")),
         ("drive", ("--drive", "{short}")),
         ("Ctrl-C", ("--drive", "{turn}")),
         ("Ctrl-C", ("--drive", "{turn}", "--lockstep")),
@@ -377,7 +377,7 @@ def test_bag_has_every_message_of_the_last_tick_however_slow_its_images_are(
     robot = write_gibson_bot(tmp_path / "robot", camera=camera)
     drives = {"turn": tmp_path / "turn.txt", "short": tmp_path / "short.txt"}
     drives["turn"].write_text("0 1.2 60\n")
-    drives["short"].write_text("0 1.2 2\n")
+    drives["short"].write_text("0 1.2 1\n")
     given = [option.format(**drives) for option in options]
     files = ("--record", str(tmp_path / "run"), "--summary", str(tmp_path / "summary.json"))
     run = start("run", "--robot", str(robot), *given, *files)
