@@ -552,6 +552,19 @@ def test_a_camera_of_a_pair_that_died_is_one_line(context: Any, wall: Any) -> No
     pairs.node.destroy_node()
 
 
+def test_a_recording_of_one_camera_of_a_pair_says_which_one_is_missing(context: Any, tmp_path: Path, wall: Any) -> None:
+    topics = ["front/image_raw", "back/image_raw"]
+    recording = Recording(context, tmp_path / "new", camera="fisheye_pair", image_topics=topics, hfov_deg=180.0)
+    for _ in range(30):
+        wall.ns += NS // 10
+        recording.see(0, wall.ns)
+    with pytest.raises(
+        PathFollowingError, match="no image could be used: images come from front, but not from back; do all cameras run"
+    ):
+        recording.node.stop()
+    recording.node.destroy_node()
+
+
 def test_topics_without_images_and_stamps_that_stand_still_are_one_line(context: Any) -> None:
     node, lines = Node("watch", context=context, namespace="robot"), list[str]()
     node.get_logger().warning = lambda text, **_: lines.append(text)

@@ -112,12 +112,14 @@ class PathRecorderNode(Node):
         if recorder is None or camera is None:
             return
         camera.close()
-        if camera.hfov is None:
+        path = None
+        if camera.hfov is not None:
+            recorder.hfov = camera.hfov
+            path = recorder.finish()
+        if path is None or not path.nodes:
             topics = ", ".join(map(self.resolve_topic_name, self._options.image_topics))
             reason = f"no image could be used: {camera.problem}" if camera.problem else f"no image has come from {topics}"
             raise PathFollowingError(f"no path is written: {reason}")
-        recorder.hfov = camera.hfov
-        path = recorder.finish()
         if len(path.nodes) < 2:
             raise PathFollowingError(f"no path is written: {recorder.missing()}")
         check_path(path, "no path is written")
