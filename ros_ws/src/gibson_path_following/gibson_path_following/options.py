@@ -74,8 +74,10 @@ class RecorderOptions(CameraOptions):
     """Parameters of ``path_recorder``."""
 
     rate_hz: float = option(10.0, "maximum rate at which images are used, by their stamps; 0 = all", 0.0, 1000.0)
-    folder: str = option("path", "folder of the path, which is written when the recording ends")
-    replace: bool = option(False, "whether an older path in that folder is replaced")
+    folder: str = option("path", "folder of the path, which is written when the recording ends; ~ is the home folder")
+    replace: bool = option(
+        False, "whether an older path in that folder is replaced; a folder that holds other files, too, is refused"
+    )
     autostart: bool = option(False, "record at once, until path_recorder/stop is called or the node ends")
     camera: str = option("pinhole", f"kind of the path's camera: {' or '.join(IMAGES_OF)}")
     width: int = option(96, "width of the path's images, pixels", 16, 4096)
