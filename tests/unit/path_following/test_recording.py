@@ -160,6 +160,14 @@ def test_where_odometry_jumps_the_commands_count_and_a_line_says_so_once() -> No
     assert len(lines) == 1 and lines[0].startswith("odometry has jumped by 50.05 m within 0.10 s: the distance there is that of")
 
 
+def test_odometry_that_catches_up_has_not_jumped() -> None:
+    recorder = PathRecorder("pinhole", 1.5)
+    for stamp_ns, x in ((NS, 0.0), (NS + TICK // 10, 0.4)):
+        recorder.add_odometry(stamp_ns, (x, 0.0, 0.0))
+        recorder.add_view(stamp_ns, VIEW)
+    assert recorder.finish().length == pytest.approx(0.4)
+
+
 def test_poses_and_commands_that_cannot_be_read_again_are_left_out_with_a_line_each() -> None:
     lines: list[str] = []
     recorder = PathRecorder("pinhole", 1.5, warn=lines.append)

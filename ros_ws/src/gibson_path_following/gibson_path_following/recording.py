@@ -20,6 +20,8 @@ _MAX_COMMAND = 100.0
 """Largest command that counts, m/s and rad/s."""
 _MAX_SPEED = 10.0
 """Speed by odometry from which on it has jumped, m/s."""
+_MIN_JUMP = 0.5
+"""Step that late odometry explains at any speed, metres."""
 _STEP_NS = 1_000_000_000
 """Step of stamps, back or ahead, that needs the next stamp to be believed, ns."""
 _PATIENCE_NS = 5_000_000_000
@@ -308,7 +310,7 @@ class PathRecorder:
         if pose is not None and before is not None:
             step = math.hypot(pose[0] - before[0], pose[1] - before[1])
             seconds = (stamp_ns - before_ns) / NS_PER_S
-            if step <= _MAX_SPEED * seconds:
+            if step <= max(_MIN_JUMP, _MAX_SPEED * seconds):
                 return step, abs(math.remainder(pose[2] - before[2], math.tau))
             self._warn_once(
                 f"odometry has jumped by {step:g} m within {seconds:.2f} s: the distance there is that of the commands, and the poses of the "
