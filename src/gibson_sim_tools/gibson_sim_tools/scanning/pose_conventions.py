@@ -5,6 +5,7 @@ The detection precedes the fusion: a mesh that is fused from wrong poses or dept
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -51,15 +52,20 @@ _DEPTH_TOLERANCE, _DEPTH_TOLERANCE_RATIO = 0.03, 0.02
 _MIN_OVERLAP = 0.2
 """Share of the points in the view of the other frame below which the score falls in proportion."""
 _USUAL_CONSISTENCY, _MIN_CONSISTENCY = 0.8, 0.5
-"""Score of correct poses and depths, and the least score that is fused: noise of 2 cm and 1 degree in each pose leaves 0.53 and more."""
+"""Score of correct poses and depths, and the least score that is fused: noise of 2 cm and 1 degree in each pose leaves 0.55 and more."""
 _MAX_ERROR_RATIO = 0.5
 """Largest ratio of errors (1 - score) by which another convention is correct."""
 _MAX_SCALE_ERROR_RATIO = 0.25
 """The same for another scale of depths: larger depths hide noise in positions."""
 _MIN_WRONG_DISTANCE = 1.0
 """Median distance between neighbouring cameras from which positions may have another unit, metres."""
-_MIN_EXPECTED_OVERLAP = 0.3
-"""Least overlap of a compared pair after its rotation alone: pairs that look in different directions tell nothing."""
+_MIN_EXPECTED_OVERLAP, _MAX_DISTANCE_RATIO = 0.3, 0.5
+"""Least overlap of the images of a pair after its rotation alone, and largest distance of its cameras, relative to the median depth, from which
+a disagreement is an error: other pairs show different surfaces."""
+_OVERLAP_RAYS = 12
+"""Rays along each side of an image that measure an overlap."""
+_SCAN_SIZE_RATIO = 1000.0
+"""More than the distance of any two cameras of a scan, relative to its median depth."""
 _DEPTH_SCALES = (1.0, 10.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 10000.0)
 """Usual scales of depth images, units per metre."""
 _POSE_UNITS = {"millimetres": 1000.0, "centimetres": 100.0}
@@ -98,13 +104,12 @@ def detect_convention(
             the depth images hold no depth, or an image is broken.
     """
     name, text = AS_READ if convention == AUTO else convention, ""
-    pairs = _frame_pairs(rgbd, frames)
+    pairs = _sequence_pairs(rgbd, frames)
     if pairs and not any(len(pair.points) for pair in pairs):
         raise ScanError(
             f"{rgbd.folder}: the depth images hold no depth: all pixels of the {len(pairs)} that were read are 0 or 65535"
         )
-    pairs = [pair for pair in pairs if pair.expected_overlap >= _MIN_EXPECTED_OVERLAP]
-    if not pairs:
+    if not any(pair.expected_overlap >= _MIN_EXPECTED_OVERLAP for pair in pairs):
         return name, ""
 
     def score(other: str, scale: _Scale = _UNCHANGED) -> float:
@@ -125,8 +130,13 @@ def detect_convention(
         name, text, consistency = best, f"poses are read as {best}: {CAMERA_CONVENTIONS[best]} ({numbers})", scores[best]
         if consistency >= _USUAL_CONSISTENCY:
             return name, text
-    poses = reinterpret_poses(rgbd.poses, rgbd.layout, name)[list(frames)]
-    distance = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+    # The frames may be in another order than that of the camera's path.
+    poses = reinterpret_poses(rgbd.poses, rgbd.layout, name)
+    pairs = _near_pairs(rgbd, frames, poses)
+    consistency = score(name)
+    if consistency >= _USUAL_CONSISTENCY:
+        return name, text
+    distance = float(np.median(np.linalg.norm(np.diff(poses[list(frames), :3, 3], axis=0), axis=1)))
     hypothesis = _other_scale(rgbd, pairs, lambda scale: score(name, scale), consistency, distance)
     numbers = f"({consistency:.2f} of the pixels; {_USUAL_CONSISTENCY:g} and more are usual)"
     median_depth = _median_depth(pairs)
@@ -136,10 +146,12 @@ def detect_convention(
     )
     if not hypothesis and median_depth > depth_max:
         advice = f"most depths are beyond --depth-max {depth_max:g}: give a larger one, or {advice}"
-    if consistency < _MIN_CONSISTENCY:
+    is_judged = hypothesis or sum(pair.is_near for pair in pairs) > len(pairs) / 2 or distance > _PLAUSIBLE_DEPTH[1]
+    if consistency < _MIN_CONSISTENCY and is_judged:
         problem = f"disagree {numbers}; " if hypothesis else f"agree in no convention {numbers}: "
         raise ScanError(f"{rgbd.folder}: neighbouring depth images {problem}{advice}")
-    warning = f"warning: neighbouring depth images agree poorly {numbers}: poses or depths are noisy, or else {advice}"
+    cause = "poses or depths are noisy" if is_judged else "few frames show the same surfaces"
+    warning = f"warning: neighbouring depth images agree poorly {numbers}: {cause}, or else {advice}"
     return name, f"{text}; {warning}" if text else warning
 
 
@@ -201,29 +213,75 @@ class _FramePair:
     """(H, W), depth of the second frame, metres, NaN = none."""
     expected_overlap: float
     """Share of the first image that the second shows after the rotation alone, 0 to 1."""
+    distance_ratio: float
+    """Distance of the cameras, relative to the median depth of the first frame."""
+
+    @property
+    def is_near(self) -> bool:
+        """Whether correct frames show the same surfaces, so that a disagreement is an error."""
+        return self.expected_overlap >= _MIN_EXPECTED_OVERLAP and self.distance_ratio <= _MAX_DISTANCE_RATIO
 
 
-def _frame_pairs(rgbd: PosedRgbd, frames: Sequence[int]) -> list[_FramePair]:
-    """Returns pairs of frames, spread evenly over the scan."""
-    if len(frames) < 2:
-        return []
-    poses, camera, pairs = rgbd.poses, rgbd.intrinsics, []
-    for k in np.unique(np.linspace(0, len(frames) - 2, _PAIR_COUNT).round().astype(int)).tolist():
-        first, later = frames[k], np.array(frames[k + 1 : k + 1 + _MAX_FRAME_DISTANCE])
-        # The rotation angle between two cameras does not depend on the convention.
-        cosine = (np.einsum("ij,nij->n", poses[first, :3, :3], poses[later, :3, :3]) - 1.0) / 2.0
-        rotation_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        second = int(
-            later[np.maximum(_ROTATION_RANGE_DEG[0] - rotation_deg, rotation_deg - _ROTATION_RANGE_DEG[1]).clip(0.0).argmin()]
-        )
-        depth = rgbd[first].depth[::_PIXEL_STRIDE, ::_PIXEL_STRIDE].astype(np.float64)
-        v, u = np.indices(depth.shape) * _PIXEL_STRIDE
-        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(depth)], axis=-1)
-        rotated = rays @ (poses[second, :3, :3].T @ poses[first, :3, :3]).T
-        overlap = float(_pixels(rotated.reshape(-1, 3), camera)[2].mean())
-        is_known = depth > 0.0
-        pairs.append(_FramePair(first, second, (rays * depth[..., None])[is_known], rgbd[second].depth, overlap))
+def _sequence_pairs(rgbd: PosedRgbd, frames: Sequence[int]) -> list[_FramePair]:
+    """Returns pairs of frames, spread evenly over the scan: the second is the next one that is rotated by an angle within the range."""
+    poses, pairs = rgbd.poses, []
+    for k in _first_frames(frames):
+        later = np.array(frames[k + 1 : k + 1 + _MAX_FRAME_DISTANCE])
+        pairs.append(_pair(rgbd, poses, frames[k], int(later[_excess_deg(poses, frames[k], later).argmin()])))
     return pairs
+
+
+def _near_pairs(rgbd: PosedRgbd, frames: Sequence[int], poses: F64) -> list[_FramePair]:
+    """Returns pairs of frames in any order, spread evenly over the scan: the second is near, and rotated by an angle near the range.
+
+    Args:
+        rgbd: the frames.
+        frames: numbers of the frames to fuse.
+        poses: T_world_camera (N, 4, 4), in one of the conventions.
+    """
+    pairs = []
+    for k in _first_frames(frames):
+        first, others = frames[k], np.delete(np.asarray(frames), k)
+        depth = rgbd[first].depth
+        median_depth = float(np.median(depth[depth > 0.0])) if (depth > 0.0).any() else 1.0
+        distances = np.linalg.norm(poses[others, :3, 3] - poses[first, :3, 3], axis=1)
+        cost = _excess_deg(poses, first, others) / _ROTATION_RANGE_DEG[0] + distances / median_depth
+        cost[_expected_overlaps(rgbd.intrinsics, poses, first, others) < _MIN_EXPECTED_OVERLAP] += _SCAN_SIZE_RATIO
+        pairs.append(_pair(rgbd, poses, first, int(others[cost.argmin()])))
+    return pairs
+
+
+def _first_frames(frames: Sequence[int]) -> list[int]:
+    """Returns the indices in ``frames`` of the first frames of pairs."""
+    return np.unique(np.linspace(0, len(frames) - 2, _PAIR_COUNT).round().astype(int)).tolist() if len(frames) > 1 else []
+
+
+def _excess_deg(poses: F64, first: int, others: NDArray[np.int64]) -> F64:
+    """Returns by how much the rotations between a frame and others (N,) are outside the range, degrees; the convention does not matter."""
+    cosine = (np.einsum("ij,nij->n", poses[first, :3, :3], poses[others, :3, :3]) - 1.0) / 2.0
+    rotation_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return np.asarray(np.maximum(_ROTATION_RANGE_DEG[0] - rotation_deg, rotation_deg - _ROTATION_RANGE_DEG[1]).clip(0.0))
+
+
+def _expected_overlaps(camera: Intrinsics, poses: F64, first: int, others: NDArray[np.int64]) -> F64:
+    """Returns the shares (N,) of the image of a frame that others (N,) show after the rotation alone, 0 to 1."""
+    u, v = np.meshgrid(*((np.arange(_OVERLAP_RAYS) + 0.5) / _OVERLAP_RAYS * size for size in (camera.width, camera.height)))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
+    rotations = np.swapaxes(poses[others, :3, :3], 1, 2) @ poses[first, :3, :3]
+    rotated = np.einsum("nij,rj->nri", rotations, rays)
+    return np.asarray(_pixels(rotated.reshape(-1, 3), camera)[2].reshape(len(others), -1).mean(axis=1))
+
+
+def _pair(rgbd: PosedRgbd, poses: F64, first: int, second: int) -> _FramePair:
+    camera = rgbd.intrinsics
+    depth = rgbd[first].depth[::_PIXEL_STRIDE, ::_PIXEL_STRIDE].astype(np.float64)
+    v, u = np.indices(depth.shape) * _PIXEL_STRIDE
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(depth)], axis=-1)
+    overlap = float(_expected_overlaps(camera, poses, first, np.array([second]))[0])
+    points = (rays * depth[..., None])[depth > 0.0]
+    distance = float(np.linalg.norm(poses[second, :3, 3] - poses[first, :3, 3]))
+    ratio = distance / float(np.median(points[:, 2])) if len(points) else math.inf
+    return _FramePair(first, second, points, rgbd[second].depth, overlap, ratio)
 
 
 def _median_depth(pairs: Sequence[_FramePair]) -> float:

@@ -72,7 +72,7 @@ def test_poses_that_are_consistent_in_no_convention_are_refused(room: PosedRgbd,
 
 def test_noisy_poses_are_fused_with_a_warning(room: PosedRgbd) -> None:
     poses = room.poses
-    poses[:, :3, 3] += np.random.default_rng(0).normal(0.0, 0.05, (COUNT, 3))
+    poses[:, :3, 3] += np.random.default_rng(0).normal(0.0, 0.07, (COUNT, 3))
     name, text = found(room.with_poses(poses))
     assert name == "as-read" and text.startswith("warning: neighbouring depth images agree poorly (0.")
 
@@ -101,6 +101,20 @@ def test_depth_images_without_depth_are_named(room: PosedRgbd, tmp_path: Path) -
 def test_depths_beyond_the_limit_are_named(room: PosedRgbd) -> None:
     with pytest.raises(ScanError, match=r"most depths are beyond --depth-max 0\.5"):
         detect_convention(room, range(len(room)), 0.5)
+
+
+def test_frames_in_any_order_are_accepted(room: PosedRgbd) -> None:
+    assert found(room.subset([0, 6, 2, 9, 4, 11, 1, 7, 3, 10, 5, 8])) == ("as-read", "")
+
+
+def test_far_frames_that_disagree_are_a_warning(room: PosedRgbd) -> None:
+    # Three times in three places that are metres apart: the frames of a sparse scan.
+    apart = room.subset([0, 4, 8])
+    poses = apart.poses
+    poses[:, 0, 3] += [0.0, 3.0, 6.0]
+    poses[:, :3, :3] = poses[0, :3, :3]
+    name, text = found(apart.with_poses(poses))
+    assert name == "as-read" and "few frames show the same surfaces, or else check" in text
 
 
 def test_frames_that_look_in_different_directions_are_not_judged(room: PosedRgbd) -> None:
