@@ -195,7 +195,7 @@ def test_the_command_makes_a_scene(tmp_path, capsys):
         main([*words, "--hold-out", "3", "--sheet", str(tmp_path / "sheet.png"), "--report", str(tmp_path / "report.json")])
     assert end.value.code == 0
     said = capsys.readouterr().out
-    assert "1 held-out photographs, texture: PSNR" in said and "patches" in said and "next: gibson-sim scene check" in said
+    assert "1 held-out photograph, texture: PSNR" in said and "patches" in said and "next: gibson-sim scene check" in said
     assert load_scene(tmp_path / "made").name == "Wall"
     # A photograph, the grey mesh, the texture.
     sheet = cv2.imread(str(tmp_path / "sheet.png"))
