@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.occupancy import OccupancyGrid, OccupancySettings
+from gibson_path_following.occupancy import OccupancyGrid, OccupancySettings, _distance_to_zero
 
 F64 = NDArray[np.float64]
 BEARINGS = np.arctan((1.0 - (np.arange(24) + 0.5) / 12.0) * math.tan(math.radians(50.0)))
@@ -163,3 +163,16 @@ def test_low_obstacle_stays_in_the_grid_when_it_is_below_the_image() -> None:
     views = [(ORIGIN, 1.0)] * 4 + [(near, None)] * 10
     assert is_occupied(grid_of(views), at(1.02))
     assert not is_occupied(grid_of(views, settings=OccupancySettings(min_clearing_range=0.0)), at(1.02))
+
+
+def test_distances_are_exact_wherever_the_memory_is() -> None:
+    rng = np.random.default_rng(0)
+    image = np.ones((120, 120), np.uint8)
+    zeros = rng.integers(0, 120, (30, 2))
+    image[zeros[:, 0], zeros[:, 1]] = 0
+    cells = np.stack(np.meshgrid(np.arange(120), np.arange(120), indexing="ij"), axis=-1)
+    squared = np.square(cells[:, :, None] - zeros).sum(axis=-1).min(axis=-1)
+    kept = []
+    for _ in range(50):
+        kept.append(np.empty(rng.integers(1, 60_000), np.uint8))  # moves what OpenCV allocates next
+        np.testing.assert_array_equal(_distance_to_zero(image), np.sqrt(squared).astype(np.float32))

@@ -193,7 +193,7 @@ class OccupancyGrid:
                 self._obstacle_distance = np.full(free.shape, self.settings.size, np.float32)
             else:
                 # OpenCV measures from centre to centre: an occupied cell ends half a cell earlier.
-                distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+                distance = _distance_to_zero(free)
                 self._obstacle_distance = np.asarray(np.maximum(distance - 0.5, 0.0) * self.settings.resolution, dtype=np.float32)
         return self._look_up(self._obstacle_distance, points, self.settings.size)
 
@@ -247,7 +247,7 @@ class OccupancyGrid:
         cv2.polylines(off_path, [cells[:, ::-1].astype(np.int32).reshape(-1, 1, 2)], False, 0)
         if off_path.all():
             return np.zeros_like(self._evidence)
-        distance = cv2.distanceTransform(off_path, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * self.settings.resolution
+        distance = _distance_to_zero(off_path) * self.settings.resolution
         hits = np.zeros(distance.shape, np.float32)
         far = 0.75 * self.settings.size
         centre = (np.array(self._origin) + self._cells / 2.0) * self.settings.resolution
@@ -258,6 +258,15 @@ class OccupancyGrid:
         false_hits = np.clip(self.settings.recorded_hit_factor * hits, 0.0, self.settings.clamp_occupied)
         is_near = distance <= self.settings.path_half_width
         return np.where(is_near, self.settings.path_prior - false_hits, 0.0).astype(np.float32)
+
+
+def _distance_to_zero(image: NDArray[np.uint8]) -> F32:
+    """Returns (n, n), float32: the distance from each cell to the nearest cell that is 0, cells; exact, so that equal grids give equal bits.
+
+    The last bit of OpenCV's distances depends on the alignment of its memory; squared distances are integers and can be restored by rounding.
+    """
+    distance = cv2.distanceTransform(image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.sqrt(np.rint(np.square(distance, dtype=np.float64))).astype(np.float32)
 
 
 def _half_width(bearings: F64) -> float:

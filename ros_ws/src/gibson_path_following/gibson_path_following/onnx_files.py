@@ -42,7 +42,9 @@ def open_session(file: Path) -> Any:
     try:
         import onnxruntime
     except ImportError as error:
-        raise ModelError(f"{file} needs onnxruntime, which is not installed: pip install 'gibson_path_following[onnx]'") from error
+        raise ModelError(
+            f"{file} needs onnxruntime, which is not installed: pip install 'gibson_path_following[onnx]'"
+        ) from error
     content = _content(file)
     if not content.strip(b"\0"):
         raise ModelError(f"{file} is empty; export it again")
