@@ -271,7 +271,9 @@ def test_a_place_without_a_network_is_refused(tmp_path: Path) -> None:
 
 def test_without_onnxruntime_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(ModelError, match=r"needs onnxruntime, which is not installed: pip install 'gibson_path_following\[onnx\]'"):
+    with pytest.raises(
+        ModelError, match=r"needs onnxruntime, which is not installed: pip install 'gibson_path_following\[onnx\]'"
+    ):
         open_network(write(tmp_path, goal_network()))
 
 
