@@ -13,6 +13,7 @@ from types import SimpleNamespace  # noqa: E402
 from typing import Any  # noqa: E402
 
 from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
@@ -37,7 +38,12 @@ class Graph:
 
     @property
     def publishers(self) -> list[Any]:
-        return [SimpleNamespace(topic_name=t, get_subscription_count=lambda n=n: n) for t, n in self.matched.items()]
+        return [
+            SimpleNamespace(
+                topic_name=t, get_subscription_count=lambda n=n: n, msg_type=TickDone, qos_profile=QoSProfile(depth=1)
+            )
+            for t, n in self.matched.items()
+        ]
 
     def create_subscription(self, *_: Any, **__: Any) -> None:
         pass
@@ -60,8 +66,9 @@ class Graph:
     def get_subscriber_names_and_types_by_node(self, name: str, namespace: str) -> list[tuple[str, list[str]]]:
         return [(topic, []) for topic in self.listens_to]
 
-    def count_subscribers(self, topic: str) -> int:
-        return self.listens_to.count(topic)
+    def get_subscriptions_info_by_topic(self, topic: str) -> list[Any]:
+        endpoint = SimpleNamespace(topic_type="gibson_msgs/msg/TickDone", qos_profile=QoSProfile(depth=1))
+        return [endpoint] * self.listens_to.count(topic)
 
 
 @pytest.mark.parametrize(("after", "topic"), [("odom", "/odom"), (CAMERAS, "/scene_state")])
