@@ -448,8 +448,6 @@ def param_set(tool: Tool, node: str, name: str, value: str) -> None:
     description = tool.call(
         f"{_node_name(node)}/describe_parameters", DescribeParameters, DescribeParameters.Request(names=[name])
     )
-    if name not in _parameters(tool, _node_name(node)):
-        raise _missing_parameter(tool, node, name)
     declared = description.descriptors[0].type if description.descriptors else ParameterType.PARAMETER_NOT_SET
     parsed = _yaml(value)
     kind = (
@@ -467,6 +465,8 @@ def param_set(tool: Tool, node: str, name: str, value: str) -> None:
     response = tool.call(f"{_node_name(node)}/set_parameters", SetParameters, SetParameters.Request(parameters=[message]))
     result = response.results[0]
     if not result.successful:
+        if name not in _parameters(tool, _node_name(node)):
+            raise _missing_parameter(tool, node, name)
         raise GibsonSimError(f"Setting parameter failed: {result.reason}")
     _print("Set parameter successful")
 
