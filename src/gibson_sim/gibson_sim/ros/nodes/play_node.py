@@ -28,13 +28,13 @@ from gibson_sim.errors import AlreadyRunningError, ConfigError, EnvironmentProbl
 from gibson_sim.ros.nodes.node_main import is_running, run_node
 from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import qos
-from gibson_sim.ros.topics.discovery import is_fully_matched
+from gibson_sim.ros.topics.discovery import DISCOVERY_S, LATE_DISCOVERY_S, is_fully_matched
 from gibson_sim.ros.wire.fast_publish import FastClock
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.types import NS_PER_S
 
-_DISCOVERY_S, _LATE_DISCOVERY_S = 1.5, 10.0
-"""Time in which the subscribers of a domain are discovered, and timeout for matching them on a busy machine, s of wall time."""
+_WATCH_S = 1.0
+"""Interval at which other publishers are looked for during the playback, s of wall time."""
 _ACKNOWLEDGE_TIMEOUT_S = 10.0
 """Timeout for the acknowledgement of the last messages, s of wall time: a subscriber that was killed never acknowledges."""
 _POLL_S = 0.05
@@ -83,6 +83,10 @@ class BagPlayer(Node):
             self.close()
             raise
         self._played = 0
+        self._expected_to_be_shared = set(_SHARED)
+        """Topics of which no other publisher is reported."""
+        self._next_check = 0.0
+        """When other publishers are looked for again, s of time.monotonic()."""
         self._late_s = 0.0
         """Delay of the last message, s of wall time."""
 
@@ -138,18 +142,21 @@ class BagPlayer(Node):
             )
             while is_running() and not condition.is_met():
                 time.sleep(_POLL_S)
-        start = time.monotonic()
-        while is_running() and (waited := time.monotonic() - start) < _LATE_DISCOVERY_S:
-            if waited > _DISCOVERY_S and all(is_fully_matched(self, publisher) for publisher in self._publishers_of.values()):
+        start, polled_s = time.monotonic(), 0.0
+        while is_running() and time.monotonic() - start < LATE_DISCOVERY_S:
+            # Polls are counted, not seconds: on a machine that stalls, discovery stands still with this process.
+            if polled_s > DISCOVERY_S and all(is_fully_matched(self, publisher) for publisher in self._publishers_of.values()):
                 return
             time.sleep(_POLL_S)
+            polled_s += _POLL_S
 
     def _check_other_publishers(self) -> None:
-        """Warns of other publishers of the same topics.
+        """Warns of other publishers of the same topics, once for each topic.
 
         Raises:
-            AlreadyRunningError: another node publishes /clock, and so would this one.
+            AlreadyRunningError: another node publishes /clock, and so does this one.
         """
+        self._next_check = time.monotonic() + _WATCH_S
         own = [publisher.topic_name for publisher in self.publishers]
         shared = [topic for topic in dict.fromkeys(own) if self.count_publishers(topic) > own.count(topic)]
         if CLOCK in shared:
@@ -157,8 +164,9 @@ class BagPlayer(Node):
                 f"another node publishes {CLOCK} in this ROS domain, and time would jump back and forth: leave --clock out, stop that node, "
                 "or choose another domain with --domain-id"
             )
-        others = [topic for topic in shared if topic not in _SHARED]
+        others = [topic for topic in shared if topic not in self._expected_to_be_shared]
         if others:
+            self._expected_to_be_shared.update(others)
             self.get_logger().warning(
                 f"other nodes publish {', '.join(others)}, too: subscribers receive both; choose other topics with --topics or --remap, "
                 "or another domain with --domain-id"
@@ -181,6 +189,8 @@ class BagPlayer(Node):
         reached_ns = span.start_ns
         while message is not None and is_running():
             self._handle_keys(keys, pace, reached_ns)
+            if time.monotonic() > self._next_check:
+                self._check_other_publishers()
             remaining_s = pace.remaining_s(message.time_ns, time.monotonic())
             if remaining_s > 0.0:
                 time.sleep(min(remaining_s, _POLL_S))

@@ -11,9 +11,7 @@ from gibson_sim.errors import AlreadyRunningError
 from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.ros.nodes.node_main import started_by_launcher
 from gibson_sim.ros.topics import names
-
-DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
-"""Time in which a new DDS participant discovers the others, s of wall time: normally, and on a busy machine."""
+from gibson_sim.ros.topics.discovery import DISCOVERY_S, LATE_DISCOVERY_S
 
 
 class SingleSimulationGuard:

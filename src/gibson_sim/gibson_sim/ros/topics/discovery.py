@@ -14,6 +14,10 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from gibson_sim.ros.nodes.node_main import is_running
 from gibson_sim.ros.wire.message_types import type_name_of
 
+DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
+"""Time in which a new DDS participant discovers the endpoints of the others, s of wall time: normally, and on a busy machine.
+
+Most endpoints are known after 0.6 s; a lost packet of the discovery is repeated after 2 s."""
 _START_TIMEOUT_S = 120.0
 """Timeout after which a run starts without the missing peers, s of wall time."""
 _LOG_AFTER_S = 10.0
