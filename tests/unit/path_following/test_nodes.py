@@ -433,20 +433,63 @@ def test_a_lens_that_sees_behind_itself_is_refused_at_the_first_image_of_a_pinho
     recording.node.destroy_node()
 
 
+class Localised:
+    """The localiser on a path, and what it publishes."""
+
+    def __init__(self, context: Any, folder: Path) -> None:
+        values = {"path": str(folder), "use_camera_info": False}
+        self.node = PathLocaliserNode(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in values.items()])
+        self.places: list[Any] = []
+        self.node._publisher.publish = lambda stamp_ns, place, state: self.places.append(place)
+        self.lines: list[str] = []
+        self.node.get_logger().warning = lambda text, **_: self.lines.append(text)
+        self.now_ns = 0
+        self.node.get_clock = lambda: SimpleNamespace(now=lambda: Time(nanoseconds=self.now_ns))
+
+    def see(self, node: int, stamp_ns: int) -> None:
+        msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
+        msg.header.stamp = conversions.time_msg(stamp_ns)
+        self.node._input._on_image("front", "camera/image_raw", msg)
+
+
 def test_a_robot_that_is_pushed_is_localised_by_its_images_alone(context: Any, folder: Path) -> None:
-    node = PathLocaliserNode(
-        context=context, parameter_overrides=[Parameter("path", value=str(folder)), Parameter("use_camera_info", value=False)]
-    )
-    places: list[Any] = []
-    node._publisher.publish = lambda stamp_ns, place, state: places.append(place)
-    node._on_command(Twist())  # from a node that has ended: it has no publisher now
+    localised = Localised(context, folder)
+    localised.node._on_command(Twist())  # from a node that has ended: it has no publisher now
     for k in range(10):
-        msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(k).tobytes())
-        msg.header.stamp = conversions.time_msg((k + 1) * TICK + node.get_clock().now().nanoseconds)
-        node._input._on_image("front", "camera/image_raw", msg)
-    assert [place.is_lost for place in places] == [True] + 9 * [False]
-    assert [place.index for place in places[1:]] == pytest.approx(range(1, 10), abs=0.5)
-    node.destroy_node()
+        localised.see(k, (k + 1) * TICK)
+    assert [place.is_lost for place in localised.places] == [True] + 9 * [False]
+    assert [place.index for place in localised.places[1:]] == pytest.approx(range(1, 10), abs=0.5)
+    localised.node.destroy_node()
+
+
+@pytest.mark.parametrize("wrong_ns", [0, 50 * NS, 150 * NS])
+def test_one_image_of_another_time_does_not_reset_the_localiser_and_a_line_says_so(
+    context: Any, folder: Path, wrong_ns: int
+) -> None:
+    localised = Localised(context, folder)
+    for k in range(5):
+        localised.see(k, 100 * NS + k * TICK)
+    localised.see(0, wrong_ns)
+    for k in range(5, 8):
+        localised.see(k, 100 * NS + k * TICK)
+    assert [place.is_lost for place in localised.places] == [True] + 7 * [False]
+    assert localised.places[-1].index == pytest.approx(7.0, abs=0.5)
+    assert len(localised.lines) == 1 and localised.lines[0].startswith("images: one stamp was ")
+    localised.node.destroy_node()
+
+
+def test_two_images_of_an_earlier_time_reset_the_localiser(context: Any, folder: Path) -> None:
+    localised = Localised(context, folder)
+    for k in range(8):
+        localised.see(k, 100 * NS + k * TICK)
+    localised.see(0, NS)  # a bag that plays again
+    assert len(localised.places) == 8
+    localised.see(0, NS + TICK)
+    localised.see(0, NS + 2 * TICK)
+    assert [place.is_lost for place in localised.places[8:]] == [True, False, False]
+    assert localised.places[-1].index == pytest.approx(0.0, abs=0.5)
+    assert localised.lines == ["stamps have gone back: localising anew"]
+    localised.node.destroy_node()
 
 
 def _info() -> CameraInfo:

@@ -7,11 +7,11 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
 
 from gibson_path_following.errors import check_ranges
 from gibson_path_following.motions import NS_PER_S, motion_between
 from gibson_path_following.path_folder import MAX_NODES, MAX_VALUE, MAX_VELOCITIES
+from gibson_path_following.stamp_filter import StampFilter, outlier_line
 from gibson_path_following.types import STOP, CameraKind, PathNode, RecordedPath, Velocity, View
 
 _STANDING = 0.01
@@ -22,12 +22,9 @@ _MAX_SPEED = 10.0
 """Speed by odometry from which on it has jumped, m/s."""
 _MIN_JUMP = 0.5
 """Step that late odometry explains at any speed, metres."""
-_STEP_NS = 1_000_000_000
-"""Step of stamps, back or ahead, that needs the next stamp to be believed, ns."""
 _PATIENCE_NS = 5_000_000_000
 """Time without odometry and commands from which on a warning is due, ns."""
 _OTHER_TIMES = "cmd_vel came at other times than the images; set use_sim_time as the node of the camera has it"
-_Item = TypeVar("_Item")
 Pose = tuple[float, float, float]
 """x, y and yaw, metres and radians."""
 
@@ -55,57 +52,6 @@ class RecorderSettings:
             ("interval", 0.0, 3600.0),
             ("odometry_timeout", 0.0, 10.0),
         )
-
-
-@dataclass(frozen=True, slots=True)
-class Passed(Generic[_Item]):
-    """What a ``StampFilter`` passes on."""
-
-    items: tuple[tuple[int, _Item], ...] = ()
-    """Stamps, ns, which grow, and what they belong to."""
-    is_jump: bool = False
-    """Whether time has gone back before the items: a reset of the simulation, or a bag that plays again."""
-    outlier_ns: int | None = None
-    """How far the stamp of an item that was dropped is ahead of the next one, ns, negative = behind; None = none was dropped."""
-
-
-class StampFilter(Generic[_Item]):
-    """Drops a single item whose stamp is far from those before and after it; passes the others on in their order.
-
-    An item whose stamp goes back, or ahead by more than a second and three of the last steps, is held until the next one shows whether time
-    has jumped.
-    """
-
-    def __init__(self) -> None:
-        self._last_ns: int | None = None
-        self._step_ns = 0
-        """Last step of the stamps, ns."""
-        self._held: tuple[int, _Item] | None = None
-
-    def add(self, stamp_ns: int, item: _Item) -> Passed[_Item]:
-        """Adds an item; returns what is passed on."""
-        held, self._held = self._held, None
-        if held is None or self._last_ns is None:
-            return self._add(stamp_ns, item)
-        held_ns = held[0]
-        if stamp_ns == held_ns:
-            self._held = held
-            return Passed()
-        if stamp_ns > held_ns and not (held_ns < self._last_ns < stamp_ns):
-            is_jump = held_ns < self._last_ns
-            self._last_ns, self._step_ns = stamp_ns, stamp_ns - held_ns
-            return Passed((held, (stamp_ns, item)), is_jump)
-        return replace(self._add(stamp_ns, item), outlier_ns=held_ns - stamp_ns)
-
-    def _add(self, stamp_ns: int, item: _Item) -> Passed[_Item]:
-        step_ns = 0 if self._last_ns is None else stamp_ns - self._last_ns
-        if abs(step_ns) > max(_STEP_NS, 3 * self._step_ns):
-            self._held = (stamp_ns, item)
-            return Passed()
-        if step_ns <= 0 and self._last_ns is not None:  # late, or twice
-            return Passed()
-        self._last_ns, self._step_ns = stamp_ns, step_ns
-        return Passed(((stamp_ns, item),))
 
 
 class PathRecorder:
@@ -368,11 +314,3 @@ class PathRecorder:
         last = first if end_ns is None else bisect_left(times, end_ns)
         held = self._commands[first - 1][1] if first else STOP
         return ((0, held), *((time_ns - stamp_ns, velocity) for time_ns, velocity in self._commands[first:last]))
-
-
-def outlier_line(ahead_ns: int) -> str:
-    """Returns what a warning says of a single stamp that is ahead of the next one, ns, negative = behind."""
-    return (
-        f"one stamp was {abs(ahead_ns) / NS_PER_S:.1f} s {'ahead of' if ahead_ns > 0 else 'behind'} the next one and is left out; "
-        "correct the driver"
-    )

@@ -16,6 +16,7 @@ from gibson_path_following.errors import PathFollowingError, SettingError
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.image_watch import ImageWatch
 from gibson_path_following.options import PINHOLE_HFOV_DEG, CameraOptions, check_camera
+from gibson_path_following.stamp_filter import StampFilter, outlier_line
 from gibson_path_following.types import IMAGES_OF, CameraKind, Image, View
 
 _QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -41,8 +42,9 @@ class CameraInput:
         size: width and height of its images, pixels.
         hfov: its horizontal field of view, radians; None = all that the first calibrated camera sees.
         on_view: receives the stamp, ns, and the view.
-        on_jump: called when stamps have gone back by more than a second; it logs what the node does then.
-        max_age: age of an image, seconds, from which on it is not used; nor is one whose stamp is as far in the future. None = all are used.
+        on_jump: called when stamps have gone back for good, by more than a second; it logs what the node does then.
+        max_age: age of an image, seconds, from which on it is not used; nor is one whose stamp is as far in the future. None = all are used,
+            whatever the node's clock says, except for a single one whose stamp is far from those before and after it.
 
     Raises:
         SettingError: the options do not fit the kind of camera.
@@ -66,6 +68,8 @@ class CameraInput:
         """Newest calibration of each camera; None = it says that there is none; or why it cannot be used."""
         self._used_ns: int | None = None
         """Stamp of the newest view that was used, ns."""
+        self._stamps: StampFilter[View] | None = StampFilter() if max_age is None else None
+        """Judges the stamps of views where the clock does not."""
         self._without_info_ns: int | None = None
         """Wall time of the first image that had no camera_info, ns."""
         self._off_clock_ns: int | None = None
@@ -108,9 +112,8 @@ class CameraInput:
         if self._used_ns is not None and stamp < self._used_ns - _BACK_NS:
             self._used_ns = None
             self._assembler.clear()
-            self._on_jump()
-            if not self._subscriptions:
-                return
+            if self._stamps is None:
+                self._on_jump()
         complete = self._assembler.add(name, stamp, msg)
         if complete is None:
             self._warn_unless_complete()
@@ -124,7 +127,21 @@ class CameraInput:
         view = tuple(image for image in images if image is not None)
         if len(view) == len(images):
             self._used_ns, self.problem = stamp, None
-            self._on_view(stamp, view)
+            self._pass_on(stamp, view)
+
+    def _pass_on(self, stamp_ns: int, view: View) -> None:
+        """Passes on a view, unless its stamp is far from those before: then the next view shows whether time has jumped."""
+        if self._stamps is None:
+            self._on_view(stamp_ns, view)
+            return
+        passed = self._stamps.add(stamp_ns, view)
+        if passed.outlier_ns is not None:
+            self._node.get_logger().warning(f"images: {outlier_line(passed.outlier_ns)}", throttle_duration_sec=5.0)
+        if passed.is_jump:
+            self._on_jump()
+        for item in passed.items:
+            if self._subscriptions:  # the node may end at a jump, and at any view
+                self._on_view(*item)
 
     def _image(self, name: str, topic: str, msg: Any) -> Image | None:
         """Returns the image in a message as the path's camera would see it; None if it cannot be used."""

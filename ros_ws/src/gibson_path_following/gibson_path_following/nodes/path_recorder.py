@@ -21,7 +21,7 @@ from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import RecorderOptions
 from gibson_path_following.path_folder import MAX_NODES, check_folder, check_path, expanded, max_nodes, new_folder, save_path
-from gibson_path_following.recording import PathRecorder, RecorderSettings, StampFilter, outlier_line
+from gibson_path_following.recording import PathRecorder, RecorderSettings
 from gibson_path_following.types import CameraKind, RecordedPath, View
 
 
@@ -61,7 +61,6 @@ class PathRecorderNode(Node):
         self._recorder: PathRecorder | None = None
         self._unsaved: tuple[RecordedPath, str] | None = None
         """A path that could not be written, and what to say of it once it is."""
-        self._views: StampFilter[View] = StampFilter()
         self._count_pub = self.create_publisher(Int32, "path_recorder/nodes", 10)
         self._reported = 0
         self.create_subscription(TwistStamped if o.stamped else Twist, "cmd_vel", self._on_command, 50)
@@ -81,9 +80,7 @@ class PathRecorderNode(Node):
         o = self._options
         check_folder(self._folder, replace=o.replace)
         hfov = math.radians(o.hfov_deg) if o.hfov_deg > 0.0 else None
-        # The stamps are checked here: a single bad one must not end the recording.
-        self._input = CameraInput(self, o, cast("CameraKind", o.camera), (o.width, o.height), hfov, self._on_view, lambda: None)
-        self._views = StampFilter()
+        self._input = CameraInput(self, o, cast("CameraKind", o.camera), (o.width, o.height), hfov, self._on_view, self._on_jump)
         self._begin()
         text = f"recording a path for {self._folder}"
         if self._max_nodes < MAX_NODES:
@@ -152,19 +149,15 @@ class PathRecorderNode(Node):
             return self._write(new_folder(Path(tempfile.gettempdir()) / (self._folder.name or "path")))
 
     def _on_view(self, stamp_ns: int, view: View) -> None:
-        if self._recorder is None:
-            return
-        passed = self._views.add(stamp_ns, view)
-        if passed.outlier_ns is not None:
-            self.get_logger().warning(f"images: {outlier_line(passed.outlier_ns)}", throttle_duration_sec=5.0)
-        if passed.is_jump and self._recorder.nodes < 2:  # the robot has not driven yet
+        if self._recorder is not None:
+            self._recorder.add_view(stamp_ns, view)
+            self._report()
+
+    def _on_jump(self) -> None:
+        if self._recorder is not None and self._recorder.nodes < 2:  # the robot has not driven yet
             self._begin()
-        elif passed.is_jump:
+        elif self._recorder is not None:
             self._end_early("stamps went back")
-        for each_ns, each in passed.items:
-            if self._recorder is not None:
-                self._recorder.add_view(each_ns, each)
-                self._report()
 
     def _end_early(self, reason: str) -> None:
         """Ends the recording and writes it, since it cannot go on."""
