@@ -696,6 +696,17 @@ def test_help_says_what_a_node_does_and_lists_topics_and_parameters(name: str, c
             "error: argument 'kitchen' is unknown; parameters are given as --ros-args -p NAME:=VALUE; --help lists them\n",
         ),
         (["--ros-args", "--folder", "kitchen"], "error: ROS cannot start: unknown ROS arguments: ['--folder', 'kitchen']\n"),
+        *(
+            (
+                ["--ros-args", "-p", "spacing:=0.2", "-p", *rule],
+                f"error: argument -p '{''.join(rule)}' is not NAME:=VALUE, such as -p use_sim_time:=true; --help lists the parameters\n",
+            )
+            for rule in (["path"], ["path=kitchen"], ["path:="], [":=kitchen"], [])
+        ),
+        (
+            ["--ros-args", "-r", "cmd_vel"],
+            "error: argument -r 'cmd_vel' is not TOPIC:=OTHER_TOPIC, such as -r odom:=wheel_odom; --help lists the topics\n",
+        ),
         (["--ros-args", "-p", "path:=\udcff"], "error: argument 'path:=\\udcff' is not UTF-8\n"),
         (
             ["--ros-args", "-p", "use_sim_time:=5"],
@@ -704,7 +715,7 @@ def test_help_says_what_a_node_does_and_lists_topics_and_parameters(name: str, c
     ],
 )
 @pytest.mark.usefixtures("ros_domain", "handlers")
-def test_an_argument_that_there_is_not_is_one_line(args: list[str], line: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_argument_that_cannot_be_used_is_one_line(args: list[str], line: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         run_node(Interrupted, Options, args)
     assert ended.value.code == 1 and capsys.readouterr().err == line

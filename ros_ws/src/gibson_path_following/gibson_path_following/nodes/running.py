@@ -19,6 +19,11 @@ from rclpy.utilities import remove_ros_args
 from gibson_path_following.errors import PathFollowingError, SettingError, quoted
 from gibson_path_following.options import Options, describe
 
+_PARAMETER = "NAME:=VALUE, such as -p use_sim_time:=true; --help lists the parameters"
+_TOPIC = "TOPIC:=OTHER_TOPIC, such as -r odom:=wheel_odom; --help lists the topics"
+_RULES = {"-p": _PARAMETER, "--param": _PARAMETER, "-r": _TOPIC, "--remap": _TOPIC}
+"""Arguments of ROS that are followed by a rule, and its form."""
+
 
 def run_node(kind: type[Any], options: type[Options], args: list[str] | None = None) -> None:
     """Runs a node with ``exit_code`` (None = go on) and ``stop()``, until it ends itself or is told to; exits the program.
@@ -39,6 +44,9 @@ def run_node(kind: type[Any], options: type[Options], args: list[str] | None = N
     # Python has surrogates for bytes that are not UTF-8; rclpy cannot encode them.
     if unreadable := [arg for arg in args if any("\ud800" <= character <= "\udfff" for character in arg)]:
         print(f"error: argument {quoted(unreadable[0])} is not UTF-8", file=sys.stderr)
+        sys.exit(1)
+    if wrong := _wrong_rule(args):  # rcl's text is long, and does not say what is right
+        print(f"error: {wrong}", file=sys.stderr)
         sys.exit(1)
     try:
         # No signal handlers of rclpy: the context must stay valid until the node has stopped the robot, or has written its files.
@@ -85,6 +93,16 @@ def help_text(kind: type[Any], options: type[Options]) -> str:
         f"usage: {Path(sys.argv[0]).stem} [--ros-args [-p PARAMETER:=VALUE]... [-r TOPIC:=OTHER_TOPIC]... [--params-file FILE]]\n\n"
         f"{about.replace('``', '')}\n\nParameters:\n{describe(options)}"
     )
+
+
+def _wrong_rule(args: list[str]) -> str | None:
+    """Returns the line about the first parameter or renamed topic that lacks := or a side of it; None = there is none."""
+    is_ros = False
+    for option, rule in zip(args, [*args[1:], ""], strict=False):
+        is_ros = option == "--ros-args" or (is_ros and option != "--")
+        if is_ros and option in _RULES and not all(rule.partition(":=")):
+            return f"argument {option} {quoted(rule)} is not {_RULES[option]}"
+    return None
 
 
 def _stopped(node: Any) -> int:
