@@ -6,6 +6,7 @@ import importlib
 import json
 import math
 import os
+import shutil
 import signal
 import tempfile
 from collections.abc import Iterator
@@ -341,6 +342,26 @@ def test_a_folder_that_exists_is_refused_before_anything_is_recorded(context: An
     Recording(context, folder, replace=True).node.destroy_node()
 
 
+def test_a_folder_that_is_being_recorded_is_refused_to_a_second_recorder_until_it_is_written(
+    context: Any, tmp_path: Path
+) -> None:
+    first = Recording(context, tmp_path / "new", replace=True)
+    with pytest.raises(PathFolderError, match="another recorder has this folder; end that one, or give another folder"):
+        Recording(context, tmp_path / "new", replace=True)
+    second = Recording(context, tmp_path / "other", replace=True)
+    for k in range(4):
+        first.see(k, NS + k * TICK)
+    assert first.node._on_stop(None, Trigger.Response()).success
+    third = Recording(context, tmp_path / "new", replace=True)
+    third.see(0, NS)
+    for recording in (second, third):
+        with pytest.raises(PathFollowingError, match="no path is written"):
+            recording.node.stop()
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["new"] and len(load_path(tmp_path / "new").nodes) == 4
+    for recording in (first, second, third):
+        recording.node.destroy_node()
+
+
 def test_a_single_image_of_another_time_does_not_end_the_recording(context: Any, tmp_path: Path) -> None:
     recording, lines = Recording(context, tmp_path / "new"), list[str]()
     recording.node.get_logger().warning = lambda text, **_: lines.append(text)
@@ -401,7 +422,7 @@ def test_a_path_that_cannot_be_written_beside_its_folder_goes_to_that_of_tempora
     recording = Recording(context, tmp_path / "disk" / "new")
     for k in range(4):
         recording.see(k, NS + k * TICK)
-    (tmp_path / "disk").rmdir()
+    shutil.rmtree(tmp_path / "disk")
     (tmp_path / "disk").write_text("a file now")
     with pytest.raises(PathFollowingError, match=r"disk is not a folder; give another folder; wrote .*temporary/new-2: 4 nodes"):
         recording.node.stop()

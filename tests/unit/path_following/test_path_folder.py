@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +15,15 @@ import pytest
 
 from gibson_path_following import path_folder
 from gibson_path_following.errors import PathFolderError
-from gibson_path_following.path_folder import check_folder, check_path, load_path, max_nodes, new_folder, save_path
+from gibson_path_following.path_folder import (
+    PathWriter,
+    check_folder,
+    check_path,
+    load_path,
+    max_nodes,
+    new_folder,
+    save_path,
+)
 from gibson_path_following.types import PathNode, RecordedPath, Velocity
 from support.path_views import STEP_NS, fisheye_view, straight_path
 
@@ -99,6 +111,71 @@ def test_a_path_of_another_recorder_that_was_faster_is_not_overwritten(tmp_path:
     with pytest.raises(PathFolderError, match=r"a: it exists; give a new folder"):
         save_path(straight_path(2), tmp_path / "a")
     assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def test_a_folder_has_one_writer_at_a_time(tmp_path: Path) -> None:
+    with PathWriter(tmp_path / "a", replace=True) as writer:
+        (tmp_path / "link").symlink_to("a")
+        for folder in (tmp_path / "a", tmp_path / "link"):
+            line = f"cannot write {folder}: another recorder has this folder; end that one, or give another folder"
+            with pytest.raises(PathFolderError, match=f"^{line}$"):
+                PathWriter(folder, replace=True)
+        save_path(straight_path(2), tmp_path / "b")
+        writer.write(straight_path(3))
+        writer.write(straight_path(4))
+    save_path(straight_path(2), tmp_path / "a", replace=True)
+    assert _names(tmp_path) == ["a", "b", "link"]
+
+
+KILLED = """
+import os, signal, sys
+from gibson_path_following import path_folder
+from support.path_views import straight_path
+
+name, done = sys.argv[1], getattr(path_folder, sys.argv[1])
+def killed(*args):
+    done(*args)
+    os.kill(os.getpid(), signal.SIGKILL)
+setattr(path_folder, name, killed)
+with path_folder.PathWriter(sys.argv[2], replace=True) as writer:
+    writer.write(straight_path(2))
+"""
+"""Ends by SIGKILL after a function of ``path_folder`` that it calls while it writes a path."""
+
+
+def _kill(function: str, folder: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    ended = subprocess.run([sys.executable, "-c", KILLED, function, str(folder)], env=environment, check=False)
+    assert ended.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("function", ["_write", "check_path"])
+def test_what_a_killed_writer_left_is_removed_at_the_next_start_and_that_of_a_running_one_stays(
+    tmp_path: Path, function: str
+) -> None:
+    with PathWriter(tmp_path / "running") as running:
+        running._draft.mkdir()
+        _kill(function, tmp_path / "killed")
+        left = {file.suffix for file in tmp_path.iterdir() if file.stem != running._draft.stem}
+        assert left == ({".part", ".lock"} if function == "_write" else {".lock"})
+        PathWriter(tmp_path / "other").close()
+        assert _names(tmp_path) == [running._draft.with_suffix(".lock").name, running._draft.name]
+
+
+def test_an_older_path_that_a_killed_writer_had_moved_away_is_restored(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    save_path(straight_path(3), tmp_path / "a")
+    with PathWriter(tmp_path / "a", replace=True) as writer:
+        (tmp_path / "a").rename(writer._old)
+    with pytest.raises(PathFolderError, match=r"a: it exists; give a new folder, or set replace to true"):
+        PathWriter(tmp_path / "a")
+    assert _names(tmp_path) == ["a"] and len(load_path(tmp_path / "a").nodes) == 3
+    assert caplog.messages == [
+        f"{tmp_path / 'a'}: restored the older path, which a recorder that was killed had not replaced yet"
+    ]
 
 
 def test_a_link_to_a_path_stays_one_that_leads_to_the_new_path(tmp_path: Path) -> None:

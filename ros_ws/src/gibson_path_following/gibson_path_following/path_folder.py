@@ -12,16 +12,18 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
+import logging
 import math
 import os
 import re
-import secrets
 import shutil
 import stat
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Any, cast
 
 import cv2
@@ -29,9 +31,11 @@ import numpy as np
 import yaml
 
 from gibson_path_following.errors import PathFolderError, quoted
+from gibson_path_following.folder_lock import FolderLock
 from gibson_path_following.image_header import image_size
 from gibson_path_following.types import IMAGES_OF, CameraKind, Image, PathNode, RecordedPath, Velocity
 
+_log = logging.getLogger(__name__)
 FORMAT = 1
 """Version of the folder's format."""
 SETTINGS_FILE, NODES_FILE, VELOCITIES_FILE, IMAGES_FOLDER = "path.yaml", "nodes.csv", "velocities.csv", "images"
@@ -67,45 +71,126 @@ def max_nodes(camera: CameraKind, width: int, height: int) -> int:
 
 
 def save_path(path: RecordedPath, folder: str | Path, *, replace: bool = False) -> None:
-    """Writes a path; the folder appears complete or not at all.
+    """Writes a path, as ``PathWriter`` does.
 
     Args:
         path: the path.
         folder: a new folder; ~ is the home folder.
-        replace: whether the folder may be one with a path, which is replaced. It stays if the new one cannot be written.
+        replace: whether the folder may be one with a path, which is replaced.
 
     Raises:
         PathFolderError: the folder exists, or cannot be written; or the path cannot be.
     """
-    folder = expanded(folder)
-    check_path(path, f"cannot write {folder}")
-    check_folder(folder, replace=replace)
-    try:
-        target = folder.resolve()  # of a link: what it leads to
-        # Short: the name of the folder may be as long as the file system allows.
-        draft, old = (target.with_name(f".path.{secrets.token_hex(4)}.{kind}") for kind in ("part", "old"))
-        draft.mkdir(parents=True)
+    with PathWriter(folder, replace=replace) as writer:
+        writer.write(path)
+
+
+class PathWriter:
+    """Writes a path to a folder, which appears complete or not at all; until ``close``, no other writer has that folder."""
+
+    def __init__(self, folder: str | Path, *, replace: bool = False) -> None:
+        """Creates the folder that will hold ``folder``, and removes what writers that were killed have left in it.
+
+        Args:
+            folder: a new folder; ~ is the home folder.
+            replace: whether the folder may be one with a path, which is replaced. It stays if the new one cannot be written.
+
+        Raises:
+            PathFolderError: the folder exists, cannot be written, or has another writer.
+        """
+        self.folder = expanded(folder)
+        """The folder of the path."""
+        self._replace = replace
+        check_folder(self.folder, replace=replace)
         try:
-            _write(path, draft)
-            check_folder(folder, replace=replace)  # images take a while: another recorder may have been faster
-            _put_in_place(draft, target, old)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
-    except (OSError, ValueError) as error:
-        raise PathFolderError(f"cannot write {folder}: {_reason(error)}") from error
+            self._target = target = self.folder.resolve()  # of a link: what it leads to
+            # Not its name, which may be as long as the file system allows.
+            key = hashlib.sha256(os.fsencode(target.name)).hexdigest()[:8]
+            self._draft, self._old, lock = (target.with_name(f".path.{key}.{kind}") for kind in ("part", "old", "lock"))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            _remove_stale(target.parent)
+            self._lock = FolderLock(lock)
+        except BlockingIOError as error:
+            raise PathFolderError(
+                f"cannot write {self.folder}: another recorder has this folder; end that one, or give another folder"
+            ) from error
+        except (OSError, ValueError) as error:
+            raise PathFolderError(f"cannot write {self.folder}: {_reason(error)}; give another folder") from error
+        try:
+            self._restore_older()
+        except BaseException:
+            self.close()
+            raise
+
+    def write(self, path: RecordedPath) -> None:
+        """Writes a path; may be called again if that failed.
+
+        Raises:
+            PathFolderError: the path or the folder cannot be written.
+        """
+        check_path(path, f"cannot write {self.folder}")
+        check_folder(self.folder, replace=self._replace)
+        try:
+            self._draft.mkdir(parents=True)
+            try:
+                _write(path, self._draft)
+                check_folder(self.folder, replace=self._replace)  # images take a while: another program may have been faster
+                self._put_in_place()
+            finally:
+                shutil.rmtree(self._draft, ignore_errors=True)
+        except (OSError, ValueError) as error:
+            raise PathFolderError(f"cannot write {self.folder}: {_reason(error)}") from error
+
+    def close(self) -> None:
+        """Releases the folder; a second call does nothing."""
+        self._lock.close()
+
+    def __enter__(self) -> PathWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _put_in_place(self) -> None:
+        """Renames the draft to the folder; an older path takes the draft's place."""
+        if self._target.exists():
+            self._target.rename(self._old)
+        try:
+            self._draft.rename(self._target)
+        except OSError:
+            if self._old.exists():
+                self._old.rename(self._target)
+            raise
+        if self._old.exists():
+            self._old.rename(self._draft)
+
+    def _restore_older(self) -> None:
+        """Restores the older path if a writer was killed between the two renamings that replace it.
+
+        Raises:
+            PathFolderError: it may not be replaced, or cannot be restored.
+        """
+        if not self._old.exists():
+            return
+        try:
+            if self._target.exists():
+                shutil.rmtree(self._old)
+                return
+            self._old.rename(self._target)
+        except OSError as error:
+            raise PathFolderError(f"cannot restore {self.folder} from {self._old}: {_reason(error)}; move that away") from error
+        _log.warning("%s: restored the older path, which a recorder that was killed had not replaced yet", self.folder)
+        check_folder(self.folder, replace=self._replace)
 
 
-def _put_in_place(draft: Path, target: Path, old: Path) -> None:
-    """Renames ``draft`` to ``target``; one that exists is ``old`` meanwhile, and is removed at last."""
-    if target.exists():
-        target.rename(old)
-    try:
-        draft.rename(target)
-    except OSError:
-        if old.exists():
-            old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+def _remove_stale(folder: Path) -> None:
+    """Removes the drafts and lock files of writers that were killed; those of running ones are locked."""
+    for stem in {file.stem for kind in ("part", "lock") for file in folder.glob(f".path.*.{kind}")}:
+        try:
+            with FolderLock(folder / f"{stem}.lock"):
+                shutil.rmtree(folder / f"{stem}.part", ignore_errors=True)
+        except OSError:  # locked, or of another user
+            continue
 
 
 def check_folder(folder: str | Path, *, replace: bool = False) -> None:

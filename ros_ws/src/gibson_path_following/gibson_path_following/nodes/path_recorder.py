@@ -20,7 +20,7 @@ from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import RecorderOptions
-from gibson_path_following.path_folder import MAX_NODES, check_folder, check_path, expanded, max_nodes, new_folder, save_path
+from gibson_path_following.path_folder import MAX_NODES, PathWriter, check_path, expanded, max_nodes, new_folder
 from gibson_path_following.recording import PathRecorder, RecorderSettings
 from gibson_path_following.types import CameraKind, RecordedPath, View
 
@@ -59,6 +59,8 @@ class PathRecorderNode(Node):
         self._folder = expanded(o.folder)
         self._input: CameraInput | None = None
         self._recorder: PathRecorder | None = None
+        self._writer: PathWriter | None = None
+        """Has the folder from the start of a recording until its path is written."""
         self._unsaved: tuple[RecordedPath, str] | None = None
         """A path that could not be written, and what to say of it once it is."""
         self._count_pub = self.create_publisher(Int32, "path_recorder/nodes", 10)
@@ -75,10 +77,10 @@ class PathRecorderNode(Node):
         """Begins to record; returns what to say.
 
         Raises:
-            PathFollowingError: the folder exists, or cannot be written.
+            PathFollowingError: the folder exists, cannot be written, or another recorder has it.
         """
         o = self._options
-        check_folder(self._folder, replace=o.replace)
+        self._writer = PathWriter(self._folder, replace=o.replace)
         hfov = math.radians(o.hfov_deg) if o.hfov_deg > 0.0 else None
         self._input = CameraInput(self, o, cast("CameraKind", o.camera), (o.width, o.height), hfov, self._on_view, self._on_jump)
         self._begin()
@@ -130,23 +132,36 @@ class PathRecorderNode(Node):
         Raises:
             PathFollowingError: there is no path, or it cannot be written.
         """
-        self._end()
-        return self._write(self._folder, replace=self._options.replace)
+        try:
+            self._end()
+            if self._unsaved is None or self._writer is None:
+                raise PathFollowingError("no path has been recorded; call path_recorder/start first")
+            return self._write(self._writer)
+        finally:
+            if self._unsaved is None:
+                self._release()
 
-    def _write(self, folder: Path, *, replace: bool = False) -> str:
-        if self._unsaved is None:
-            raise PathFollowingError("no path has been recorded; call path_recorder/start first")
+    def _write(self, writer: PathWriter) -> str:
+        assert self._unsaved is not None
         path, text = self._unsaved
-        save_path(path, folder, replace=replace)
+        writer.write(path)
         self._unsaved = None
-        return f"wrote {folder}: {text}"
+        return f"wrote {writer.folder}: {text}"
 
     def _write_elsewhere(self) -> str:
         """Writes the path that could not be written beside its folder, or, if nothing can be written there, to that of temporary files."""
         try:
-            return self._write(new_folder(self._folder))
+            with PathWriter(new_folder(self._folder)) as writer:
+                return self._write(writer)
         except PathFolderError:
-            return self._write(new_folder(Path(tempfile.gettempdir()) / (self._folder.name or "path")))
+            with PathWriter(new_folder(Path(tempfile.gettempdir()) / (self._folder.name or "path"))) as writer:
+                return self._write(writer)
+
+    def _release(self) -> None:
+        """Gives the folder back, so that another recorder can have it."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
 
     def _on_view(self, stamp_ns: int, view: View) -> None:
         if self._recorder is not None:
@@ -232,6 +247,8 @@ class PathRecorderNode(Node):
                 raise
             # The exit code must say that the folder does not hold this path.
             raise PathFollowingError(f"{error}; {self._write_elsewhere()}") from error
+        finally:
+            self._release()
 
 
 def main(args: list[str] | None = None) -> None:
