@@ -83,6 +83,8 @@ def test_a_network_that_fills_holes_must_exist(tmp_path: Path, monkeypatch: pyte
         ConfigError, match=r"setting 'camera_fill': there is no file '/.*/gone\.onnx'; give an ONNX file, or push_pull, learned"
     ):
         PhysicsConfig(camera_fill="gone.onnx")
+    with pytest.raises(ConfigError, match="there is no file"):
+        PhysicsConfig(camera_fill=f"{'n' * 300}.onnx")
 
 
 @pytest.mark.parametrize("wrong", [3, True, ["push_pull"]])

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import clipped, quoted
+from gibson_sim.reading import exists
 from gibson_sim.settings import check_settings, nearest, setting
 from gibson_sim.types import FILLS, OUTPUTS, Output
 
@@ -232,12 +233,13 @@ class PhysicsConfig:
 _FILL_SETTING = f"none, {', '.join(FILLS)} or the path of an ONNX file (.onnx), with ,depth to fill depth, too"
 
 
-def parse_fill(what: str, value: str | os.PathLike[str]) -> tuple[str, bool]:
+def parse_fill(what: str, value: str | os.PathLike[str], folder: Path = Path()) -> tuple[str, bool]:
     """Returns the method to fill holes in a setting, a file as absolute path, empty = none; and whether depth is filled too.
 
     Args:
         what: name of the setting in messages.
         value: a method of ``FILLS`` or the path of an ONNX file, also with ``,depth``; or ``none``, or empty.
+        folder: folder to which the path of a file is relative; the default is the working directory.
 
     Raises:
         ConfigError: the value is something else, or the file does not exist.
@@ -254,8 +256,8 @@ def parse_fill(what: str, value: str | os.PathLike[str]) -> tuple[str, bool]:
     if not fill.endswith(".onnx"):
         hint = f"; {hint}" if (hint := nearest(fill, (*FILLS, "none"))) else ""
         raise ConfigError(f"{what} is {quoted(text)}, must be {_FILL_SETTING}{hint}")
-    path = Path(fill).expanduser().absolute()
-    if not path.exists():
+    path = (folder / Path(fill).expanduser()).absolute()
+    if not exists(path):
         raise ConfigError(f"{what}: there is no file '{clipped(str(path), 200)}'; give an ONNX file, or {', '.join(FILLS)}")
     return str(path), with_depth
 

@@ -100,11 +100,16 @@ def test_holes_are_filled_on_request_and_invented_depth_is_marked(load: Load, tm
     assert (camera.fill, camera.fill_depth, camera.outputs) == ("push_pull", True, ("rgb", "depth", "hole"))
     assert load("cameras: [{name: c, link: eye, fill: off}]\n").cameras[0].fill == ""
     assert load("cameras: [{name: c, link: eye}]\n").cameras[0].fill == ""
+    camera = load('cameras: [{name: c, link: eye, fill: "learned,depth"}]\n').cameras[0]
+    assert (camera.fill, camera.fill_depth) == ("learned", True), "as --camera-fill"
 
 
-def test_a_network_that_fills_holes_is_found_beside_the_file(load: Load) -> None:
-    with pytest.raises(RobotError, match=r"fill: there is no file '/.*/net\.onnx'; give an ONNX file, push_pull or learned"):
+def test_a_network_that_fills_holes_is_found_beside_the_file(load: Load, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=r"fill: there is no file '/.*/net\.onnx'; give an ONNX file, or push_pull, learned"):
         load("cameras: [{name: c, link: eye, fill: net.onnx}]\n")
+    (tmp_path / "net.onnx").touch()
+    for fill in ("net.onnx", str(tmp_path / "net.onnx")):
+        assert load(f"cameras: [{{name: c, link: eye, fill: {fill}}}]\n").cameras[0].fill == str(tmp_path / "net.onnx")
 
 
 def test_camera_effects_and_depth_noise_come_from_their_sections(load: Load) -> None:
@@ -154,7 +159,11 @@ def test_camera_on_an_optical_link_is_that_link(load: Load) -> None:
         ("cameras: [{name: c, link: eye, depth_noise: {seed: 1.5}}]\n", "whole number"),
         (
             "cameras: [{name: c, link: eye, fill: telea}]\n",
-            "fill is 'telea', must be push_pull, learned or the path of an ONNX file",
+            "cameras[0]: fill is 'telea', must be none, push_pull, learned or the path of an ONNX file",
+        ),
+        (
+            "cameras: [{name: c, link: eye, fill: true}]\n",
+            "cameras[0]: fill is True, must be none, push_pull, learned or the path of an ONNX file",
         ),
         ("cameras: [{name: c, link: eye, fill_depth: true}]\n", "fill_depth is set without fill"),
         ("cameras: [{name: c, link: ey}]\n", "no link 'ey'; known: base"),

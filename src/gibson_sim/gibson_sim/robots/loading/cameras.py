@@ -10,12 +10,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from gibson_sim.config import parse_fill
 from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap, read_yaml_map
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
-from gibson_sim.quoting import clipped, quoted
-from gibson_sim.reading import exists
+from gibson_sim.quoting import quoted
 from gibson_sim.types import (
     DEFAULT_OUTPUTS,
     DISTORTIONS,
@@ -93,15 +93,20 @@ def camera_entries(path: Path) -> list[YamlMap]:
 
 
 def _entries(top: YamlMap, entries: list[Any], folder: Path) -> list[YamlMap]:
-    return [top.within(_with_file(entry, folder), f"cameras[{i}]") for i, entry in enumerate(entries)]
+    return [_with_fill(top.within(entry, f"cameras[{i}]"), folder) for i, entry in enumerate(entries)]
 
 
-def _with_file(entry: Any, folder: Path) -> Any:
-    """Returns an entry with an absolute path of the network in ``fill``, which is relative to the folder of the file."""
-    fill = entry.get("fill") if isinstance(entry, dict) else None
-    if not isinstance(fill, str) or not fill.endswith(".onnx"):
+def _with_fill(entry: YamlMap, folder: Path) -> YamlMap:
+    """Returns an entry with ``fill`` as in ``CameraSpec``; the path of a network is relative to the folder of the YAML file."""
+    if not entry.has("fill"):
         return entry
-    return {**entry, "fill": str((folder / Path(fill).expanduser()).absolute())}
+    value = entry.values["fill"]
+    try:
+        fill, with_depth = parse_fill("fill", "none" if value is False else value, folder)  # "off" is False in YAML
+    except ConfigError as error:
+        raise RobotError(f"{entry.where}: {error}") from error
+    depth = {"fill_depth": True} if with_depth else {}
+    return YamlMap({**entry.values, "fill": fill, **depth}, entry.where, error=RobotError)
 
 
 def _cameras(entries: list[YamlMap], where: str, find_link: Callable[[str], str]) -> tuple[CameraSpec, ...]:
@@ -135,12 +140,7 @@ def read_camera(settings: YamlMap, find_link: Callable[[str], str]) -> CameraSpe
     outputs = settings.values.get("outputs", list(DEFAULT_OUTPUTS))
     if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
         raise RobotError(f"{settings.where}: outputs is {quoted(outputs)}, must be a list of {', '.join(OUTPUTS)}")
-    if settings.values.get("fill", False) not in (False, None, "none"):  # "off" is False in YAML
-        values["fill"] = settings.text("fill")
-        if values["fill"].endswith(".onnx") and not exists(Path(values["fill"])):
-            raise RobotError(
-                f"{settings.where}: fill: there is no file '{clipped(values['fill'], 200)}'; give an ONNX file, push_pull or learned"
-            )
+    values["fill"] = settings.value("fill", "")
     values["fill_depth"] = settings.flag("fill_depth", False)
     if values["fill_depth"] and "hole" not in outputs:
         outputs = [*outputs, "hole"]  # it marks the filled depths
