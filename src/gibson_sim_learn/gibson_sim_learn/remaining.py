@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from gibson_sim.durations import duration_text
+
 
 class Remaining:
     """Estimates the remaining wall time of a stage from its mean rate so far.
@@ -23,8 +25,4 @@ class Remaining:
         if not self._first < done < total:
             return ""
         left_s = (self._clock() - self._began_s) / (done - self._first) * (total - done)
-        if left_s < 60.0:
-            return f", {max(left_s, 1.0):.0f} s left"
-        if left_s < 5400.0:
-            return f", {left_s / 60.0:.0f} min left"
-        return f", {left_s / 3600.0:.1f} h left"
+        return f", {duration_text(max(left_s, 1.0))} left"

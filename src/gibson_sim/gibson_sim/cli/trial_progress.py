@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from gibson_sim.cli.console import CONSOLE, Console
+from gibson_sim.durations import duration_text
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.words import run_line
 
@@ -38,7 +39,7 @@ class PlanProgress:
         now = self._clock()
         if now - self._began < _QUIET_S or done == total:
             return
-        remaining = f", {_duration((now - self._began) / done * (total - done))} left" if done else ""
+        remaining = f", {duration_text((now - self._began) / done * (total - done))} left" if done else ""
         line = f"planning: {done} of {total} runs{remaining}"
         if self._console.is_terminal:
             self._console.status(line)
@@ -110,14 +111,7 @@ class TrialProgress:
         rest = self._total - self._before - self._done
         if not (self._done and rest):
             return ""
-        return _duration((self._clock() - self._began) / self._done * rest)
+        return duration_text((self._clock() - self._began) / self._done * rest)
 
     def _show(self) -> None:
         self._console.status(self.line())
-
-
-def _duration(seconds: float) -> str:
-    """Returns a duration as text."""
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

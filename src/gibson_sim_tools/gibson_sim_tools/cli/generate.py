@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.parser import ExitCode
+from gibson_sim.durations import duration_text
 from gibson_sim.errors import ConfigError
 from gibson_sim_tools.making.building_file import QUALITIES
 from gibson_sim_tools.making.planning.planner import KINDS
@@ -89,5 +90,5 @@ def _folder(args: argparse.Namespace, name: str) -> Path:
 
 
 def _print_progress(text: str, done: float, left_s: float | None) -> None:
-    left = "" if left_s is None else f", {left_s / 60:.0f} min left" if left_s >= 90 else f", {left_s:.0f} s left"
+    left = "" if left_s is None else f", {duration_text(left_s)} left"
     print(f"{100 * done:3.0f} %  {text}{left}", flush=True)

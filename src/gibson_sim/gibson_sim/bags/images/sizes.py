@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from gibson_sim.durations import duration_text
+
 ImageForm = Literal["raw", "compressed", "none"]
 _PIXEL_BYTES = {
     "rgb": 3, "depth": 4, "semantic": 2, "instance": 2, "normal": 12, "normal_world": 12, "position": 12, "flow": 8,
@@ -46,8 +48,8 @@ def size_line(streams: Iterable[ImageStream], form: ImageForm, free_bytes: int, 
     now, compressed, raw = (sum(s.bytes_per_s(f) for s in streams) for f in (form, "compressed", "raw"))
     about = "up to" if form == "raw" else "about"
     stage = f" before --compression {chunks}" if chunks != "none" and form == "raw" else ""
-    minutes = free_bytes / max(60.0 * now, 1.0)
-    room = f"the disk has room for {_duration(minutes)}" if minutes < 600.0 else "the disk has room for hours"
+    room_s = free_bytes / max(now, 1.0)
+    room = "the disk has room for " + (duration_text(room_s) if room_s < 36_000.0 else "hours")
     other = (
         f"`--record-images compressed` takes about {_size(60.0 * compressed)}, `none` nothing"
         if form == "raw"
@@ -58,7 +60,3 @@ def size_line(streams: Iterable[ImageStream], form: ImageForm, free_bytes: int, 
 
 def _size(count: float) -> str:
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
-
-
-def _duration(minutes: float) -> str:
-    return f"{minutes:.0f} min" if minutes >= 2.0 else f"{60.0 * minutes:.0f} s"

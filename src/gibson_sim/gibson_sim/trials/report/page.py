@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from gibson_sim.durations import duration_text
 from gibson_sim.reading import read_file
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.keeping import FILM, PICTURES
@@ -92,8 +93,8 @@ def _head(trial: TrialResults) -> str:
         f"<code>{_text(trial.file)}</code>",
         _text(trial.started.replace("T", " ").partition("+")[0] + " UTC") if trial.started else "",
         _text(trial.mode),
-        f"{_duration(trial.wall_time)} of wall time" if trial.wall_time else "",
-        f"{_duration(sum(max(o.end_ns, 0) for o in outcomes) / 1e9)} simulated",
+        f"{duration_text(trial.wall_time)} of wall time" if trial.wall_time else "",
+        f"{duration_text(sum(max(o.end_ns, 0) for o in outcomes) / 1e9)} simulated",
     ]
     quiet = " · ".join(fact for fact in facts if fact)
     percent = (
@@ -113,13 +114,6 @@ def _head(trial: TrialResults) -> str:
         f'<h1>{_text(trial.name)}</h1><p class="quiet">{quiet}</p>'
         f'<p class="total"><b>{rate.passed} of {rate.count}</b> runs passed{percent}{_bar(rate)}</p>{early}{real_time}'
     )
-
-
-def _duration(seconds: float) -> str:
-    """Returns a time in a suitable unit."""
-    if seconds < 120.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
 def _links(trial: TrialResults, numbers: Iterable[int]) -> str:
