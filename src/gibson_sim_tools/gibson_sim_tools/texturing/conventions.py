@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import TO_Z_UP
-from gibson_sim_tools.importing.checks.gravity import unit_text
+from gibson_sim_tools.importing.checks.gravity import size_text
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.pose_conventions import reinterpret_poses
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
@@ -171,12 +171,10 @@ def _check_position_scale(surface: Surface, photographs: Photographs, consistenc
         and 1.0 - best.correlation <= _MAX_ERROR_RATIO * (1.0 - consistency.correlation)
         and best.coverage >= _MIN_COVERAGE_RATIO * consistency.coverage
     ):
-        size = np.ptp(surface.vertices, axis=0).tolist()
-        unit = unit_text(size)
         raise ScanError(
             f"{photographs.folder}: mesh and poses have different scales: photographs agree on the mesh if the positions of the cameras are "
-            f"multiplied by {factor:g} (agreement {best.score:.2f} against {consistency.score:.2f}); scale the mesh, of "
-            f"{' x '.join(f'{c:.4g}' for c in size)} m{f' ({unit})' if unit else ''}, or the poses"
+            f"multiplied by {factor:g} (agreement {best.score:.2f} against {consistency.score:.2f}); scale the mesh or the poses; "
+            f"the mesh is {size_text(np.ptp(surface.vertices, axis=0).tolist())}"
         )
 
 

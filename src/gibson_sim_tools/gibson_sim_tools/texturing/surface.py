@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.transforms import invert
 from gibson_sim.geometry.triangle_meshes import weld
-from gibson_sim_tools.importing.checks.gravity import unit_text
+from gibson_sim_tools.importing.checks.gravity import size_text
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 
 F64 = NDArray[np.float64]
@@ -82,10 +82,8 @@ def check_split(surface: Surface, max_length: float) -> None:
     """Raises ScanError, which names the size of the surface, if ``split_long_edges`` would return too many triangles."""
     count = split_count(surface, max_length)
     if count > MAX_TRIANGLES:
-        size = np.ptp(surface.vertices, axis=0).tolist()
-        unit = unit_text(size)
         raise ScanError(
-            f"the mesh is {' x '.join(f'{c:.4g}' for c in size)} m{f'; {unit}' if unit else ''}: with edges of {max_length:g} m at most, as textures "
+            f"the mesh is {size_text(np.ptp(surface.vertices, axis=0).tolist())}: with edges of {max_length:g} m at most, as textures "
             f"need them, it would have about {count / 1e6:.0f} million triangles, more than {MAX_TRIANGLES / 1e6:.0f}; if poses and mesh have "
             "another unit than metres, give --unit (`scene texture` also has --longest-edge)"
         )

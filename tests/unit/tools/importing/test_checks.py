@@ -15,7 +15,7 @@ from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
 from gibson_sim_tools.importing.checks.check import SceneReport, check_path
 from gibson_sim_tools.importing.checks.faults import find_faults
 from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
-from gibson_sim_tools.importing.checks.gravity import guess_unit, guess_up, rotation_to_z
+from gibson_sim_tools.importing.checks.gravity import guess_unit, guess_up, rotation_to_z, size_text
 from support.interiors import SIZE, box_faces, room, triangles, turned, write_gibson_folder, write_obj
 from support.surfaces import bumpy_grid
 
@@ -75,6 +75,12 @@ def test_a_scene_on_its_side_is_seen(axis: int, degrees: float, up: str) -> None
 )
 def test_units_are_guessed_by_the_size_of_rooms(size: tuple[float, float, float], unit: str) -> None:
     assert guess_unit(size) == unit
+
+
+def test_a_size_that_is_no_building_comes_with_the_unit_in_which_it_would_be_one() -> None:
+    assert size_text((4.0, 2.4, 3.0)) == "4 x 2.4 x 3 m"
+    assert size_text((4000.0, 3000.0, 2400.0)) == "4000 x 3000 x 2400 m; in mm it would be a room or a building"
+    assert size_text((1e-9, 1e-9, 1e-9)).startswith("1e-09 x 1e-09 x 1e-09 m; it is not the size of a room in any of ")
 
 
 # Faces

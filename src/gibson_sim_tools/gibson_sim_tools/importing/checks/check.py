@@ -28,7 +28,7 @@ from gibson_sim_tools.importing.checks.facts import (
     scene_geometry,
 )
 from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
-from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_up, unit_text
+from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_up, size_text
 from gibson_sim_tools.importing.checks.islands import islands
 from gibson_sim_tools.importing.checks.splats import LARGE_SPLAT, MAX_SPLAT_DISTANCE, splat_distance
 from gibson_sim_tools.importing.document import ASSETS
@@ -159,9 +159,8 @@ def _orientation(facts: SceneFacts, guess: UpGuess) -> Iterator[SceneFinding]:
 def _unit(facts: SceneFacts) -> Iterator[SceneFinding]:
     if facts.unit == "m":
         return
-    size = " x ".join(f"{s:.4g}" for s in facts.size)
     yield SceneFinding(
-        "not-metres", "warning", f"it is {size} m; {unit_text(facts.size)}",
+        "not-metres", "warning", f"it is {size_text(facts.size)}",
         f"--fix --unit {facts.unit or 'UNIT'} scales it; or give unit_m in scene.yaml",
         bool(facts.unit),
     )  # fmt: skip

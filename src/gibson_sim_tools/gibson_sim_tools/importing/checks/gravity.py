@@ -227,12 +227,14 @@ def rotation_to_z(up: Sequence[float]) -> F64:
     return np.asarray(np.eye(3) + sine * k + (1.0 - cosine) * (k @ k))
 
 
-def unit_text(size: Sequence[float]) -> str:
-    """Returns which unit would make a scene of this size (x, y, z), metres, a room or a building, as text; empty = metres do."""
-    unit = guess_unit(size)
+def size_text(size: Sequence[float]) -> str:
+    """Returns the size of a scene (x, y, z), metres, as text; unless it is a room or a building, also the unit in which it would be one."""
+    text, unit = f"{' x '.join(f'{c:.4g}' for c in size)} m", guess_unit(size)
     if unit == "m":
-        return ""
-    return f"in {unit} it would be a room or a building" if unit else f"it is not the size of a room in any of {', '.join(UNITS)}"
+        return text
+    if unit:
+        return f"{text}; in {unit} it would be a room or a building"
+    return f"{text}; it is not the size of a room in any of {', '.join(UNITS)}"
 
 
 def guess_unit(size: Sequence[float]) -> str:
