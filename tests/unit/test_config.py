@@ -96,9 +96,10 @@ def test_a_fill_that_is_no_text_is_refused(wrong: object) -> None:
 
 
 def test_wait_for_reads_topics_and_counts() -> None:
-    assert PhysicsConfig(wait_for="scene_state:2,odom:1").wanted_subscribers() == {"scene_state": 2, "odom": 1}
-    with pytest.raises(ConfigError, match="must be topic:count"):
-        PhysicsConfig(wait_for="scene_state")
+    assert PhysicsConfig(wait_for="scene_state:2,/odom").wanted_subscribers() == {"scene_state": 2, "/odom": 1}
+    for wrong in ("odom:", "odom:0", "odom:x", "odom:\u00b2", ":1", "a b:1", "odom:9999999"):
+        with pytest.raises(ConfigError, match=r"setting 'wait_for' has '.*', must be TOPIC or TOPIC:N, such as"):
+            PhysicsConfig(wait_for=wrong)
 
 
 @pytest.mark.parametrize("node", ["physics", "render"])

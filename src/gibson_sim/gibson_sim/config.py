@@ -7,7 +7,8 @@ ROS parameters (``ros/nodes/params.py``), command-line options (``cli``) and Pyt
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -221,13 +222,7 @@ class PhysicsConfig:
 
     def wanted_subscribers(self) -> dict[str, int]:
         """Returns topic of ``wait_for`` -> required number of subscribers."""
-        wanted = {}
-        for part in filter(None, self.wait_for.split(",")):
-            topic, _, count = part.partition(":")
-            if not topic or not count.isdigit():
-                raise ConfigError(f"setting 'wait_for' has {quoted(part)}, must be topic:count, e.g. scene_state:1")
-            wanted[topic] = int(count)
-        return wanted
+        return parse_subscribers("setting 'wait_for'", filter(None, self.wait_for.split(",")))
 
 
 _FILL_SETTING = f"none, {', '.join(FILLS)} or the path of an ONNX file (.onnx), with ,depth to fill depth, too"
@@ -260,6 +255,28 @@ def parse_fill(what: str, value: str | os.PathLike[str], folder: Path = Path()) 
     if not exists(path):
         raise ConfigError(f"{what}: there is no file '{clipped(str(path), 200)}'; give an ONNX file, or {', '.join(FILLS)}")
     return str(path), with_depth
+
+
+_SUBSCRIBERS = re.compile(r"(/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*)(?::([1-9]\d{0,5}))?", re.ASCII)
+
+
+def parse_subscribers(what: str, entries: Iterable[str]) -> dict[str, int]:
+    """Returns topic -> required number of subscribers.
+
+    Args:
+        what: name of the setting in messages.
+        entries: each ``TOPIC:N``, or ``TOPIC`` for one subscriber.
+
+    Raises:
+        ConfigError: an entry is something else.
+    """
+    required = {}
+    for entry in entries:
+        match = _SUBSCRIBERS.fullmatch(entry)
+        if match is None:
+            raise ConfigError(f"{what} has {quoted(entry)}, must be TOPIC or TOPIC:N, such as /camera/image_raw:1")
+        required[match[1]] = int(match[2] or 1)
+    return required
 
 
 def outputs_of(name: str, text: str) -> tuple[Output, ...]:

@@ -7,6 +7,7 @@ import re
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from gibson_sim.config import parse_subscribers
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
@@ -97,14 +98,7 @@ class PlayOptions:
         Raises:
             ConfigError: an entry is neither ``TOPIC`` nor ``TOPIC:N``.
         """
-        required = {}
-        for entry in self.wait_for:
-            name, colon, count = entry.partition(":")
-            name = full_name(name)
-            if not _TOPIC.fullmatch(name) or (colon and not (count.isdigit() and int(count))):
-                raise ConfigError(f"--wait-for has {quoted(entry)}, must be TOPIC or TOPIC:N, such as /camera/image_raw:1")
-            required[name] = int(count or 1)
-        return required
+        return {full_name(topic): number for topic, number in parse_subscribers("--wait-for", self.wait_for).items()}
 
 
 def full_name(topic: str) -> str:
