@@ -14,10 +14,15 @@ from support.simulation import Launched, Listener, require, wait_until
 
 require("rclpy", "gibson_msgs", "pybullet")
 
+from rclpy.serialization import serialize_message  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+
+from gibson_sim.bags.writer import BagWriter  # noqa: E402
+
 OUTPUTS = "rgb,depth,semantic,instance,normal,normal_world,position,flow"
 RIGHTS = ("publish", "subscribe", "reply", "request")
-NODES = ("physics", "render", "drive", "record", "snapshot", "task", "top", "web", "foxglove")
-"""Nodes whose rights are compared; ``physics_stamped_commands`` and ``_record_intake`` are in processes of the first and the fourth."""
+NODES = ("physics", "render", "drive", "record", "snapshot", "task", "play", "top", "web", "foxglove")
+"""Enclaves whose rights are compared; ``physics_stamped_commands`` and ``_record_intake`` are in processes of the first and the fourth."""
 _ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
 _ACTION_TOPICS = ("feedback", "status")
 ONLY_SOMETIMES = {
@@ -51,7 +56,8 @@ def _uses(listener: Listener, process: str) -> set[tuple[str, str]]:
     """Returns what the nodes of a process have."""
     graph: Any = listener.node
     found = set()
-    for name in (process, "physics_stamped_commands" if process == "physics" else f"_{process}_intake"):
+    own = "bag_player" if process == "play" else process
+    for name in (own, "physics_stamped_commands" if process == "physics" else f"_{process}_intake"):
         if name in graph.get_node_names():
             looks = (
                 graph.get_publisher_names_and_types_by_node,
@@ -61,6 +67,14 @@ def _uses(listener: Listener, process: str) -> set[tuple[str, str]]:
             )
             found |= {(right, topic) for right, look in zip(RIGHTS, looks, strict=True) for topic, _ in look(name, "/")}
     return found
+
+
+def _bag(folder: Path) -> Path:
+    """Writes a bag with one text."""
+    with BagWriter(folder, reserve_bytes=0) as writer:
+        writer.add_topic("/text", "std_msgs/msg/String")
+        writer.write("/text", serialize_message(String(data="hello")), 1, 1)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +91,7 @@ def simulation(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Ite
             Launched("web", "--port", "0"),
             Launched("web", "--foxglove", "--port", "0"),
             Launched("task", "point-goal", "--scene", "flat"),
+            Launched("bag", "play", str(_bag(folder / "played")), "--wait-for", "/text:9"),
         ]
         yield folder
     finally:
