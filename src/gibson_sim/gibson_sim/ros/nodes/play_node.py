@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import sys
@@ -75,9 +76,7 @@ class BagPlayer(Node):
                 self._add(topic)
             if not self._topics:
                 raise EnvironmentProblemError(f"no message type of bag {options.bag} is installed in this environment")
-            if options.clock:
-                self._publishers_of[CLOCK] = self.create_publisher(Clock, CLOCK, qos.CLOCK)
-            elif CLOCK in self._bag.topics():
+            if CLOCK in self._bag.topics() and not options.clock:
                 self.get_logger().info(f"the bag's own {CLOCK} is not played; --clock publishes the time of the playback")
         except BaseException:
             self.close()
@@ -102,6 +101,12 @@ class BagPlayer(Node):
 
     def spin(self) -> int:
         """Plays the bag until its end or the end of the context; returns the exit code."""
+        self._check_required_subscribers()
+        self._wait_for_discovery()
+        self._check_other_publishers()
+        if self._options.clock:
+            # Only now: a simulation that has just started ends if it sees a second publisher.
+            self._publishers_of[CLOCK] = self.create_publisher(Clock, CLOCK, qos.CLOCK)
         self._wait_for_subscribers()
         if not is_running():
             _say("stopped before the first message")
@@ -127,28 +132,44 @@ class BagPlayer(Node):
 
     # Start
 
+    def _check_required_subscribers(self) -> None:
+        """Raises ConfigError if --wait-for has a topic that is not played."""
+        played = {publisher.topic_name for publisher in self._publishers_of.values()} | (
+            {CLOCK} if self._options.clock else set()
+        )
+        unknown = sorted(self._options.required_subscribers().keys() - played)
+        if unknown:
+            raise ConfigError(f"--wait-for has {unknown[0]}, which is not played; played are {', '.join(sorted(played))}")
+
+    def _wait_for_discovery(self) -> None:
+        """Waits until the nodes that run already are discovered."""
+        # Polls are counted, not seconds: on a machine that stalls, discovery stands still with this process.
+        for _ in range(math.ceil(DISCOVERY_S / _POLL_S)):
+            if not is_running():
+                return
+            time.sleep(_POLL_S)
+
     def _wait_for_subscribers(self) -> None:
         """Waits for the required subscribers, and until all discovered ones are matched, so that they receive the first messages."""
         required = self._options.required_subscribers()
         publishers = {publisher.topic_name: publisher for publisher in self._publishers_of.values()}
-        unknown = sorted(required.keys() - publishers)
-        if unknown:
-            raise ConfigError(f"--wait-for has {unknown[0]}, which is not played; played are {', '.join(sorted(publishers))}")
-        for topic, number in required.items():
-            condition = WaitCondition(
+        conditions = [
+            WaitCondition(
                 self,
                 f"{number} subscriber{'s' * (number > 1)} of {topic}",
                 partial(_has_subscribers, publishers[topic], number),
             )
-            while is_running() and not condition.is_met():
+            for topic, number in required.items()
+        ]
+        if not all(condition.is_met() for condition in conditions):
+            while is_running() and not all(condition.is_met() for condition in conditions):
                 time.sleep(_POLL_S)
-        start, polled_s = time.monotonic(), 0.0
+            self._wait_for_discovery()  # of the other subscriptions of nodes that have just started
+        start = time.monotonic()
         while is_running() and time.monotonic() - start < LATE_DISCOVERY_S:
-            # Polls are counted, not seconds: on a machine that stalls, discovery stands still with this process.
-            if polled_s > DISCOVERY_S and all(is_fully_matched(self, publisher) for publisher in self._publishers_of.values()):
+            if all(is_fully_matched(self, publisher) for publisher in self._publishers_of.values()):
                 return
             time.sleep(_POLL_S)
-            polled_s += _POLL_S
 
     def _check_other_publishers(self) -> None:
         """Warns of other publishers of the same topics, once for each topic.
@@ -159,7 +180,7 @@ class BagPlayer(Node):
         self._next_check = time.monotonic() + _WATCH_S
         own = [publisher.topic_name for publisher in self.publishers]
         shared = [topic for topic in dict.fromkeys(own) if self.count_publishers(topic) > own.count(topic)]
-        if CLOCK in shared:
+        if self._options.clock and self.count_publishers(CLOCK) > own.count(CLOCK):
             raise AlreadyRunningError(
                 f"another node publishes {CLOCK} in this ROS domain, and time would jump back and forth: leave --clock out, stop that node, "
                 "or choose another domain with --domain-id"
