@@ -398,7 +398,8 @@ def test_poses_of_another_scale_than_the_mesh_are_named(tmp_path):
     photographs = photographs.with_poses(poses)
     assert resolve_convention(surface, photographs, "auto")[1] == ""
     with pytest.raises(
-        ScanError, match=r"if the positions of the cameras are multiplied by 10 .* scale the mesh or the poses; the mesh is 4 x 2.4 x 3 m$"
+        ScanError,
+        match=r"if the positions of the cameras are multiplied by 10 .* scale the mesh or the poses; the mesh is 4 x 2.4 x 3 m$",
     ):
         resolve_convention(surface, photographs.scaled(0.1), "auto")
 
