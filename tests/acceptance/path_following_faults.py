@@ -1,6 +1,6 @@
 """Drives a path by images while the camera fails, or a person crosses; says what the robot did. Plain ROS 2 and our package.
 
-After `source env.sh`: python tests/acceptance/path_following_faults.py [NAME ...] [--backend learned]. It starts the simulation and all nodes
+After `source env.sh`: python tests/acceptance/path_following_faults.py [NAME ...] [--backend teach_repeat]. It starts the simulation and all nodes
 by itself, in lockstep: time waits for images, commands and the person, so calls give the same results, if rarely to the last digit; the nodes of
 `dropped` and `delayed` answer no image in particular. Names: plain covered dropped delayed person standing robots; all by default. Exit code 1: a
 person was never in the robot's way.
@@ -460,7 +460,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"what happens: {', '.join([*FAULTS, 'robots'])} (default: all)")
     parser.add_argument("--scene", default="harbour_flat")
     parser.add_argument("--robot", default=str(ROBOT), help="name or folder of the robot")
-    parser.add_argument("--backend", default="teach_repeat")
+    parser.add_argument("--backend", default="learned")
     parser.add_argument("--output", type=Path, default=Path("out/path_following_faults"))
     given = parser.parse_args()
     names = given.names or [*FAULTS, "robots"]

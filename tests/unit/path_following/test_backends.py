@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from gibson_path_following import backends
 from gibson_path_following.backends import BACKENDS, make_policy
 from gibson_path_following.errors import ModelError, SettingError
 from gibson_path_following.learned import LearnedPolicy
@@ -34,7 +35,7 @@ def test_a_path_of_images_alone_is_refused(backend: str) -> None:
 
 @pytest.mark.parametrize("name", ["", "magic", "learned:", "onnx:", "teach_repeat:x"])
 def test_other_names_are_refused_with_those_that_there_are(name: str) -> None:
-    with pytest.raises(SettingError, match="must be teach_repeat, learned, learned:FILE or onnx:FILE"):
+    with pytest.raises(SettingError, match="must be learned, learned:FILE, teach_repeat or onnx:FILE"):
         make_policy(name, straight_path())
     assert name not in BACKENDS
 
@@ -43,3 +44,12 @@ def test_the_learned_policy_knows_where_its_camera_is() -> None:
     policy, _ = make_policy("learned", straight_path(), camera_ahead=0.3)
     assert isinstance(policy, LearnedPolicy)
     assert policy.settings.camera_ahead == 0.3
+
+
+def test_without_onnxruntime_the_message_names_the_backend_that_needs_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backends, "find_spec", lambda name: None)
+    with pytest.raises(
+        SettingError, match=r"needs onnxruntime, which is not installed: pip install .* or set backend to teach_repeat"
+    ):
+        make_policy("learned", straight_path())
+    assert isinstance(make_policy("teach_repeat", straight_path())[0], TeachRepeatPolicy)

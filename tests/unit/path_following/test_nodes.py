@@ -72,7 +72,7 @@ class Driven:
     """The policy with a clock and a publisher of this test."""
 
     def __init__(self, context: Any, folder: Path, **parameters: Any) -> None:
-        values = {"path": str(folder), "use_camera_info": False, **parameters}
+        values = {"path": str(folder), "use_camera_info": False, "backend": "teach_repeat", **parameters}
         self.node = PathPolicyNode(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in values.items()])
         self.sent: list[float] = []
         self.now_ns = 0

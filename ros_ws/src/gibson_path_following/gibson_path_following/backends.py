@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 from gibson_path_following.errors import SettingError, quoted
@@ -10,8 +11,8 @@ from gibson_path_following.motions import has_motion
 from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
 from gibson_path_following.types import Policy, RecordedPath
 
-BACKENDS = ("teach_repeat", "learned", "learned:FILE", "onnx:FILE")
-"""Backend names: visual teach and repeat; our network, that of the package or of a file; a network of the GNM family, a file or folder."""
+BACKENDS = ("learned", "learned:FILE", "teach_repeat", "onnx:FILE")
+"""Backend names: our network, that of the package or of a file; visual teach and repeat; a network of the GNM family, a file or folder."""
 
 
 def make_policy(
@@ -40,6 +41,11 @@ def make_policy(
     if backend == "teach_repeat":
         return TeachRepeatPolicy(path, TeachRepeatSettings(max_linear=max_linear, max_angular=max_angular), nodes), localiser
     if name == "learned" and (file or backend == name):
+        if find_spec("onnxruntime") is None:
+            raise SettingError(
+                f"backend {backend} needs onnxruntime, which is not installed: pip install 'gibson_path_following[onnx]', or set backend to "
+                "teach_repeat, which needs no network and drives around no obstacle"
+            )
         from gibson_path_following.arcs import ArcSettings
         from gibson_path_following.learned import LearnedPolicy, LearnedSettings
         from gibson_path_following.path_model import DEFAULT_MODEL

@@ -84,7 +84,9 @@ class LearnedPolicy:
             ViewError: the path is of another kind of camera.
         """
         if path.camera != "pinhole":
-            raise ViewError(f"the learned policy needs a pinhole camera, the path is of a {path.camera}; use teach_repeat")
+            raise ViewError(
+                f"backend learned needs a pinhole camera, the path is of a {path.camera}; set backend to teach_repeat"
+            )
         self.settings = settings = settings or LearnedSettings()
         self.model = model if isinstance(model, PathModel) else PathModel(model)
         self.tracker = PoseTracker(path, self.model, settings.tracking, settings.camera_ahead, nodes)

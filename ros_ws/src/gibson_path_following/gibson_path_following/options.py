@@ -125,7 +125,7 @@ class PolicyOptions(CameraOptions):
     """Parameters of ``path_policy``."""
 
     path: str = option("", "folder of the path; must be given")
-    backend: str = option("teach_repeat", "teach_repeat; learned, or learned:FILE with another network; onnx:FILE")
+    backend: str = option("learned", "learned, or learned:FILE with another network; teach_repeat; onnx:FILE")
     autostart: bool = option(True, "configure and activate without a lifecycle manager")
     start: float = option(0.0, "node where the robot is at the start; -1 = anywhere", -1.0, 1e6)
     max_linear: float = option(0.5, "maximum speed, m/s", 0.01, 10.0)

@@ -48,7 +48,7 @@ def generate_launch_description():
         [
             DeclareLaunchArgument("path", description="folder of the path, as path_recorder wrote it"),
             DeclareLaunchArgument(
-                "backend", default_value="teach_repeat", description="policy: teach_repeat, learned, learned:FILE, onnx:FILE"
+                "backend", default_value="learned", description="policy: learned, learned:FILE, teach_repeat, onnx:FILE"
             ),
             DeclareLaunchArgument("namespace", default_value="", description="namespace of the robot"),
             DeclareLaunchArgument("sim_time", default_value="true", description="time of /clock; false on a robot"),
