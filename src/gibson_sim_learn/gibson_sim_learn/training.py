@@ -6,9 +6,13 @@ kind of processor it gives the result of an uninterrupted one, up to the roundin
 
 from __future__ import annotations
 
+import io
 import json
 import math
+import operator
+import re
 import time
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -147,7 +151,7 @@ class Training(ABC, Generic[N, P]):
         """Returns the metrics of a point in one line."""
 
     def _state(self) -> dict[str, Any]:
-        """Returns the additional content of a checkpoint."""
+        """Returns the additional content of a checkpoint: tensors and plain values."""
         return {}
 
     def _restore(self, content: Mapping[str, Any]) -> None:
@@ -166,20 +170,23 @@ class Training(ABC, Generic[N, P]):
         return float(loss.detach())
 
     def _save(self) -> None:
-        content = {
+        values = {
             "settings": dict(self._checkpoint_settings),
-            "network": self.network.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
             "rng": self._rng.bit_generator.state,
-            "torch_rng": torch.get_rng_state(),
             "iteration": self.iteration,
             "curve": [asdict(point) for point in self.curve],
             "processor_s": self._processor_s,
+        }
+        content = {
+            **json.loads(json.dumps(values)),  # plain values: load_checkpoint refuses others, such as NumPy's
+            "network": self.network.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "torch_rng": torch.get_rng_state(),
             **self._state(),
         }
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with replacing(self.checkpoint) as draft:
-            torch.save(content, draft)
+        buffer = io.BytesIO()  # torch.save to a file hides the error of a full disk
+        torch.save(content, buffer)
+        write_file(self.checkpoint, buffer.getvalue())
         write_curve(self.folder, self.curve, self.PANELS, self.COLUMNS)
 
     def _resume(self, point: Callable[..., P]) -> None:
@@ -200,11 +207,12 @@ class Training(ABC, Generic[N, P]):
             self._optimiser.load_state_dict(content["optimiser"])
             self._rng.bit_generator.state = content["rng"]
             torch.set_rng_state(content["torch_rng"])
-            self.iteration = content["iteration"]
+            self.iteration = operator.index(content["iteration"])
             self.curve = [point(**each) for each in content["curve"]]
-            self._processor_s = content["processor_s"]
-        except (KeyError, TypeError, RuntimeError) as error:
-            raise ConfigError(f"{self.checkpoint}: is from another version ({error}); delete it to start anew") from error
+            self._processor_s = float(content["processor_s"])
+        except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
+            cause = " ".join(str(error).split())
+            raise ConfigError(f"{self.checkpoint}: is from another version ({cause}); delete it to start anew") from error
 
 
 def has_bfloat16() -> bool:
@@ -230,21 +238,36 @@ def learning_rate_at(peak: float, done: int, total: int, warm_up: int) -> float:
 def load_checkpoint(file: Path, settings: Mapping[str, Any], may_change: Collection[str]) -> dict[str, Any]:
     """Returns the content of a checkpoint whose settings equal those of the training.
 
+    Only tensors and plain values are loaded, so that a checkpoint cannot run code.
+
     Args:
         file: path of the checkpoint.
         settings: settings of the training that resumes.
         may_change: names of the settings that may differ.
 
     Raises:
-        ConfigError: the checkpoint cannot be read, or has other settings.
+        ConfigError: the checkpoint cannot be read, holds other objects, or has other settings.
     """
     try:
-        content: dict[str, Any] = torch.load(file, weights_only=False)
-        stored = content["settings"]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on pickle protocols; the error says enough
+            content = torch.load(file, weights_only=True)
     except Exception as error:
-        raise ConfigError(f"{file}: cannot be read: {error}; delete it to start anew") from error
-    check_settings(file.parent, stored, settings, may_change)
+        raise ConfigError(f"{file}: cannot be loaded: {_cause_of(error)}; delete it to start anew") from error
+    if not (isinstance(content, dict) and isinstance(content.get("settings"), dict)):
+        raise ConfigError(f"{file}: is not a checkpoint of a training; delete it to start anew")
+    check_settings(file.parent, content["settings"], settings, may_change)
     return content
+
+
+def _cause_of(error: Exception) -> str:
+    """Returns why ``torch.load`` failed, in one line: its messages recommend loading without a check, over several lines."""
+    text = str(error)
+    if found := re.search(r"GLOBAL (\S+)", text):
+        return f"it holds {found[1]}, and may hold only tensors and plain values"
+    if "weights_only" in text:
+        return "it is damaged, or not a checkpoint"
+    return " ".join(text.split(". ")[0].split()) or type(error).__name__
 
 
 def write_curve(folder: Path, curve: Sequence[Any], panels: Panels, columns: int) -> None:

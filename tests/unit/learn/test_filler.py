@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -9,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, WriteError
 from gibson_sim_learn.filler.evaluation import Flicker, beats_baselines, mean_flicker, scores_of, table
 from gibson_sim_learn.filler.pairs import Pairs, data_hash, depth_of, load_pairs, save_pairs
 from gibson_sim_learn.filler.scans import make_scan
@@ -107,7 +109,7 @@ def test_shards_come_back_as_they_were_saved_and_what_is_none_is_refused(tmp_pat
     assert all(np.array_equal(getattr(found, item.name), getattr(pairs(), item.name)) for item in fields(Pairs))
     assert depth_of(found.depth_mm[0])[0].tolist() == [np.inf] * 8 + [2.0] * 8
     (tmp_path / "room-000" / "truth.npy").write_bytes(b"cut")
-    with pytest.raises(ConfigError, match=r"room-000: not a shard of data: .*; delete it"):
+    with pytest.raises(ConfigError, match=r"room-000: not a shard of data: .*; run `gibson-sim learn filler pairs` again"):
         load_pairs(tmp_path, ["room"])
 
 
@@ -144,3 +146,14 @@ def test_settings_that_cannot_be_are_refused() -> None:
     ):
         with pytest.raises(ConfigError, match=message):
             wrong()
+
+
+def test_a_full_disk_is_one_line_and_leaves_no_part_of_a_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    save_pairs(tmp_path / "room-000", pairs())
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(WriteError, match=r"cannot write .*drawn\.npy: No space left on device .*; free disk space"):
+        save_pairs(tmp_path / "room-001", pairs())
+    assert [path.name for path in tmp_path.iterdir()] == ["room-000"]

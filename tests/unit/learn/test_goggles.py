@@ -43,7 +43,9 @@ def test_shards_come_back_as_they_were_saved_and_what_is_none_is_refused(tmp_pat
     (found,) = load_pairs(tmp_path)
     assert (found.clean == 1).all() and (found.seen == 2).all()
     (tmp_path / "room-000" / "seen.npy").write_bytes(b"cut")
-    with pytest.raises(ConfigError, match=r"room-000: not a shard of data: .*; delete it, and run the command again"):
+    with pytest.raises(
+        ConfigError, match=r"room-000: not a shard of data: .*; delete it, and run `gibson-sim learn goggles` again"
+    ):
         load_pairs(tmp_path)
 
 

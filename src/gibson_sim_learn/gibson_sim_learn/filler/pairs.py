@@ -195,7 +195,7 @@ def load_shard(folder: Path) -> Pairs:
     Raises:
         ConfigError: it cannot be read.
     """
-    return Pairs(*load_arrays(folder, [item.name for item in fields(Pairs)]))
+    return Pairs(*load_arrays(folder, [item.name for item in fields(Pairs)], "run `gibson-sim learn filler pairs` again"))
 
 
 def data_hash(folder: Path, scenes: Sequence[str]) -> str:

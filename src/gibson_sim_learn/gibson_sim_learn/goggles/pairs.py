@@ -147,7 +147,7 @@ def load_shard(folder: Path) -> Pairs:
     Raises:
         ConfigError: it cannot be read.
     """
-    return Pairs(*load_arrays(folder, ("clean", "seen")))
+    return Pairs(*load_arrays(folder, ("clean", "seen"), "delete it, and run `gibson-sim learn goggles` again"))
 
 
 def save_pairs(folder: Path, pairs: Pairs) -> None:

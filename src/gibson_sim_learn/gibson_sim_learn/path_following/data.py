@@ -179,7 +179,7 @@ def load_shard(folder: Path) -> Shard:
         ConfigError: it cannot be read.
     """
     names = _ARRAYS + (_OPTIONAL_ARRAYS if (folder / f"{_OPTIONAL_ARRAYS[0]}.npy").is_file() else ())
-    return Shard(*load_arrays(folder, names))
+    return Shard(*load_arrays(folder, names, "delete it, and run `gibson-sim learn path-following` again"))
 
 
 def save_shard(folder: Path, shard: Shard) -> None:
