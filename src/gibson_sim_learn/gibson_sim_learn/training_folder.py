@@ -10,24 +10,25 @@ from typing import Any
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.processes.folder_lock import locked_folder
-from gibson_sim.quoting import quoted
 from gibson_sim.writing import write_file
 
 SETTINGS = "settings.json"
 """File with the settings of a folder's training, written before its data."""
 
 
-def locked(folder: Path) -> AbstractContextManager[None]:
+def locked(folder: Path, alternative: str = "another --folder") -> AbstractContextManager[None]:
     """Returns a context manager that creates a folder if it is missing and locks it against other trainings.
+
+    Args:
+        folder: the folder.
+        alternative: what can be chosen instead of waiting, for the message.
 
     Raises:
         ConfigError: on entry, if another process trains in the folder.
     """
     return locked_folder(
         folder,
-        ConfigError(
-            f"--folder {quoted(str(folder))}: another `gibson-sim learn` works in this folder; wait for it, or choose another --folder"
-        ),
+        ConfigError(f"{folder}: another `gibson-sim learn` works in this folder; wait for it, or choose {alternative}"),
     )
 
 
@@ -57,7 +58,9 @@ def training_folder(folder: Path, settings: Mapping[str, Any], may_change: Colle
         yield
 
 
-def check_settings(folder: Path, stored: Mapping[str, Any], settings: Mapping[str, Any], may_change: Collection[str]) -> None:
+def check_settings(
+    folder: Path, stored: Mapping[str, Any], settings: Mapping[str, Any], may_change: Collection[str], what: str = "a training"
+) -> None:
     """Checks that a training has the settings that its folder stores.
 
     Args:
@@ -65,6 +68,7 @@ def check_settings(folder: Path, stored: Mapping[str, Any], settings: Mapping[st
         stored: settings in the folder.
         settings: settings of the training that resumes.
         may_change: names of the settings that may differ.
+        what: what the folder holds, for the message.
 
     Raises:
         ConfigError: a setting differs; the message names the first one.
@@ -72,7 +76,7 @@ def check_settings(folder: Path, stored: Mapping[str, Any], settings: Mapping[st
     fixed = {name: value for name, value in settings.items() if name not in may_change}
     # Tuples become lists, as in a stored file.
     for name, before in _differences(json.loads(json.dumps(stored)), json.loads(json.dumps(fixed))):
-        raise ConfigError(f"{folder}: holds a training with another {name} ({before}); choose another --folder")
+        raise ConfigError(f"{folder}: holds {what} with another {name} ({before}); choose another --folder")
 
 
 def _differences(stored: Mapping[str, Any], settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

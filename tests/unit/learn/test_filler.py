@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -12,11 +13,14 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError, WriteError
+from gibson_sim_learn.filler import pipeline
 from gibson_sim_learn.filler.evaluation import Flicker, beats_baselines, mean_flicker, scores_of, table
-from gibson_sim_learn.filler.pairs import Pairs, data_hash, depth_of, load_pairs, save_pairs
+from gibson_sim_learn.filler.pairs import Pairs, ScannedScene, data_hash, depth_of, load_pairs, save_pairs
 from gibson_sim_learn.filler.scans import make_scan
 from gibson_sim_learn.filler.scoring import Score, Scoring, gmsd, ssim_map, warped
-from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
+from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings, options_of
+from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
+from gibson_sim_learn.training_folder import locked
 
 
 def flat(level: int, side: int = 16) -> np.ndarray:
@@ -102,22 +106,130 @@ def test_a_network_is_worth_shipping_if_it_beats_the_best_classical_in_holes_and
 
 
 def test_shards_come_back_as_they_were_saved_and_what_is_none_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="holds no pairs of room; run gibson-sim learn filler pairs"):
-        load_pairs(tmp_path, ["room"])
+    with pytest.raises(ConfigError, match="2 of 2 shards are missing: room-000, room-001; run `gibson-sim learn filler pairs"):
+        load_pairs(tmp_path, ["room-000", "room-001"])
     save_pairs(tmp_path / "room-000", pairs())
-    (found,) = load_pairs(tmp_path, ["room"])
+    (found,) = load_pairs(tmp_path, ["room-000"])
     assert all(np.array_equal(getattr(found, item.name), getattr(pairs(), item.name)) for item in fields(Pairs))
     assert depth_of(found.depth_mm[0])[0].tolist() == [np.inf] * 8 + [2.0] * 8
-    (tmp_path / "room-000" / "truth.npy").write_bytes(b"cut")
-    with pytest.raises(ConfigError, match=r"room-000: not a shard of data: .*; run `gibson-sim learn filler pairs` again"):
-        load_pairs(tmp_path, ["room"])
+    for content in (b"cut", b""):
+        (tmp_path / "room-000" / "truth.npy").write_bytes(content)
+        with pytest.raises(ConfigError, match=r"room-000: not a shard of data: .*; run `gibson-sim learn filler pairs --folder"):
+            load_pairs(tmp_path, ["room-000"])
+
+
+def test_arrays_that_differ_from_their_digest_are_refused(tmp_path: Path) -> None:
+    save_pairs(tmp_path / "room-000", pairs())
+    np.save(tmp_path / "room-000" / "truth.npy", pairs().truth + 1)
+    with pytest.raises(ConfigError, match=r"room-000: its arrays differ from digest.txt; run `gibson-sim learn filler pairs"):
+        load_pairs(tmp_path, ["room-000"])
+    save_pairs(tmp_path / "room-001", pairs())
+    (tmp_path / "room-001" / "digest.txt").unlink()
+    with pytest.raises(ConfigError, match=r"room-001: its arrays differ from digest.txt"):
+        load_pairs(tmp_path, ["room-001"])
 
 
 def test_hash_of_the_pairs_tells_others(tmp_path: Path) -> None:
     for name, count in (("one", 2), ("same", 2), ("other", 3)):
         save_pairs(tmp_path / name / "room-000", pairs(count))
-    one, same, other = (data_hash(tmp_path / name, ["room"]) for name in ("one", "same", "other"))
+    one, same, other = (data_hash(tmp_path / name, ["room-000"]) for name in ("one", "same", "other"))
     assert one == same != other
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Returns a list of the shards that are drawn; they are drawn without scans."""
+    found: list[tuple[str, int]] = []
+
+    def draw(scene: str, seed: int, number: int) -> Pairs:
+        found.append((scene, number))
+        return pairs()
+
+    monkeypatch.setattr(pipeline, "make_scan", lambda scene, folder, settings: folder)
+    monkeypatch.setattr(ScannedScene, "load", lambda scene, scan: scene)
+    monkeypatch.setattr("gibson_sim_learn.filler.pairs.draw_pairs", draw)
+    return found
+
+
+def test_pairs_draws_missing_and_damaged_shards_again(tmp_path: Path, drawn: list[tuple[str, int]]) -> None:
+    pipeline.make_all_pairs(tmp_path, PairsSettings(shards=3), ["mill_house"])
+    assert drawn == [("mill_house", number) for number in range(pipeline._count("mill_house", PairsSettings(shards=3)))]
+    drawn.clear()
+    pipeline.make_all_pairs(tmp_path, PairsSettings(shards=3), ["mill_house"])
+    assert not drawn
+    (tmp_path / "pairs" / "mill_house-001" / "hole.npy").unlink()
+    (tmp_path / "pairs" / "mill_house-000" / "truth.npy").write_bytes(b"cut")
+    pipeline.make_all_pairs(tmp_path, PairsSettings(shards=3), ["mill_house"])
+    assert drawn == [("mill_house", 0), ("mill_house", 1)]
+    load_pairs(tmp_path / "pairs", ["mill_house-000", "mill_house-001"])
+
+
+def test_pairs_of_other_settings_are_refused(tmp_path: Path, drawn: list[tuple[str, int]]) -> None:
+    pipeline.make_all_pairs(tmp_path, PairsSettings(frames=60, shards=1), ["mill_house"])
+    pipeline.make_all_pairs(tmp_path, PairsSettings(frames=60, shards=2), ["mill_house"])
+    with pytest.raises(ConfigError, match=r"pairs: holds pairs with another frames \(60\); choose another --folder"):
+        pipeline.make_all_pairs(tmp_path, PairsSettings(), ["linden_flat"])
+
+
+def test_a_scene_on_which_another_process_works_is_refused_and_other_scenes_are_not(
+    tmp_path: Path, drawn: list[tuple[str, int]]
+) -> None:
+    with locked(tmp_path / "scans" / "linden_flat"):
+        with pytest.raises(
+            ConfigError,
+            match=r"scans/linden_flat: another `gibson-sim learn` works in this folder; wait for it, or choose other --scenes",
+        ):
+            pipeline.make_all_pairs(tmp_path, PairsSettings())
+        assert not drawn
+        pipeline.make_all_pairs(tmp_path, PairsSettings(), ["river_office", "river_office"])
+    assert drawn == [("river_office", 0), ("river_office", 1)]
+
+
+def test_shards_that_training_lacks_are_named_with_the_command_that_draws_them(
+    tmp_path: Path, drawn: list[tuple[str, int]]
+) -> None:
+    pipeline.make_all_pairs(tmp_path, PairsSettings(shards=3, frames=60), [*TRAINING, *VALIDATION])
+    assert pipeline.missing_for_training(tmp_path) == []
+    shutil.rmtree(tmp_path / "pairs" / f"{TRAINING[-1]}-002")
+    assert pipeline.missing_for_training(tmp_path) == [f"{TRAINING[-1]}-002"]
+    with pytest.raises(ConfigError) as error:
+        load_pairs(tmp_path / "pairs", pipeline._shards(tmp_path, TRAINING))
+    assert str(error.value) == (
+        f"{tmp_path}/pairs: 1 of {3 * len(TRAINING)} shards are missing: {TRAINING[-1]}-002; "
+        f"run `gibson-sim learn filler pairs --folder {tmp_path} --shards 3 --frames 60`"
+    )
+
+
+def test_unreadable_settings_of_pairs_say_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "settings.json").write_text('{"shards": 3, "colour": 1}')
+    with pytest.raises(
+        ConfigError, match=r"settings.json: cannot be read: .*; delete it, and run `gibson-sim learn filler pairs`"
+    ):
+        load_pairs(tmp_path, ["room-000"])
+
+
+def test_a_scan_that_cannot_be_loaded_says_what_to_delete(tmp_path: Path) -> None:
+    (tmp_path / "textured").mkdir()
+    with pytest.raises(
+        ConfigError, match=rf"delete the folder {tmp_path}/textured, and run `gibson-sim learn filler pairs` again"
+    ):
+        ScannedScene.load("arena", tmp_path / "textured")
+
+
+def test_a_deleted_texture_is_made_again(tmp_path: Path) -> None:
+    ran: list[str] = []
+
+    def run(arguments: Sequence[str]) -> None:
+        ran.append(arguments[1])
+        if arguments[1] == "texture":
+            (tmp_path / "textured").mkdir()
+
+    make_scan("flat", tmp_path, PairsSettings(), run)
+    make_scan("flat", tmp_path, PairsSettings(), run)
+    assert ran == ["scan", "fuse", "texture"]
+    shutil.rmtree(tmp_path / "textured")
+    make_scan("flat", tmp_path, PairsSettings(), run)
+    assert ran == ["scan", "fuse", "texture", "texture"]
 
 
 def test_a_finished_stage_is_not_run_again_and_other_settings_are_refused(tmp_path: Path) -> None:
@@ -143,6 +255,7 @@ def test_settings_that_cannot_be_are_refused() -> None:
         (lambda: TrainingSettings(crop=100), "'crop' is 100 px, must be a multiple of 16"),
         (lambda: PairsSettings(shards=0), "'shards' is 0"),
         (lambda: EvaluationSettings(every=0), "'every' is 0"),
+        (lambda: EvaluationSettings(drive=1), "'drive' is 1, must be 0 or 2 to 280"),
     ):
         with pytest.raises(ConfigError, match=message):
             wrong()
@@ -157,3 +270,9 @@ def test_a_full_disk_is_one_line_and_leaves_no_part_of_a_shard(tmp_path: Path, m
     with pytest.raises(WriteError, match=r"cannot write .*drawn\.npy: No space left on device .*; free disk space"):
         save_pairs(tmp_path / "room-001", pairs())
     assert [path.name for path in tmp_path.iterdir()] == ["room-000"]
+
+
+def test_options_of_settings_are_those_that_differ_from_the_default() -> None:
+    assert options_of(TrainingSettings()) == "" and options_of(PairsSettings(shards=2)) == " --shards 2"
+    settings = TrainingSettings(batch=2, crop=64, evaluate_every=10, learning_rate=1e-4)
+    assert options_of(settings) == " --batch 2 --crop 64 --learning-rate 0.0001 --evaluate-every 10"

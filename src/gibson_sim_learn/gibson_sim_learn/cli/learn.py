@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -164,10 +165,15 @@ def run_filler_pairs(args: argparse.Namespace) -> int:
     if importlib.util.find_spec("open3d") is None:  # found here, not after the first scan
         raise EnvironmentProblemError("Open3D, which fuses the scans, is not installed: pip install 'gibson_sim_tools[scanning]'")
     with _progress() as progress:
-        from gibson_sim_learn.filler.pipeline import PAIRS, SCENES, make_all_pairs
+        from gibson_sim_learn.filler.pairs import command_of
+        from gibson_sim_learn.filler.pipeline import PAIRS, SCENES, make_all_pairs, missing_for_training
 
         make_all_pairs(args.folder, settings, SCENES if args.scenes is None else args.scenes.split(","), progress)
-    print(f"{args.folder / PAIRS} holds the pairs; next: gibson-sim learn filler train --folder {args.folder}")
+    missing = missing_for_training(args.folder)
+    following = f"gibson-sim learn filler train --folder {shlex.quote(str(args.folder))}"
+    if missing:
+        following = f"{command_of(args.folder / PAIRS)}, which draws the {len(missing)} shards that training needs"
+    print(f"{args.folder / PAIRS} holds the pairs{' of ' + args.scenes if args.scenes else ''}; next: {following}")
     return 0
 
 

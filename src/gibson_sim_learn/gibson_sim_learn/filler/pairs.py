@@ -8,9 +8,12 @@ the scan is seen, or that look at something very near, are left out: nobody coul
 from __future__ import annotations
 
 import hashlib
+import json
 import math
+import shlex
+import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.digests import digest_of
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.filling.holes import BACK_FACE, NOTHING
 from gibson_sim.filling.inputs import filled_colour
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy, quat_from_rpy
@@ -31,9 +34,11 @@ from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
+from gibson_sim.writing import write_file
 from gibson_sim_learn.arrays import load_arrays, save_arrays
-from gibson_sim_learn.filler.settings import PairsSettings
+from gibson_sim_learn.filler.settings import PairsSettings, options_of
 from gibson_sim_learn.path_following.data import BODY_HEIGHT, ROBOT_RADIUS, shard_rng, with_bodies
+from gibson_sim_learn.training_folder import SETTINGS, check_settings
 
 F32 = NDArray[np.float32]
 I8 = NDArray[np.int8]
@@ -59,6 +64,10 @@ _MAX_TRIES = 12
 """Poses that are tried for each view of a shard, at most."""
 _NORMAL_STEPS = 127.0
 _DIGEST = "digest.txt"
+_MAX_BYTES = 10_000
+"""Of a file with settings or a digest."""
+_NAMED = 5
+"""Missing shards that a message names."""
 _T_CAMERA_OPTICAL = matrix_from_pose(Pose(quat_xyzw=quat_from_rpy(-math.pi / 2.0, 0.0, -math.pi / 2.0)))
 
 
@@ -92,10 +101,18 @@ class ScannedScene:
 
     @classmethod
     def load(cls, name: str, scan: Path) -> ScannedScene:
-        """Returns a scene by name, with the scan in a folder."""
+        """Returns a scene by name, with the scan in a folder.
+
+        Raises:
+            ConfigError: the scan cannot be loaded.
+        """
         scene = replace(load_scene(name), robots=())
         floor = scene_floor_map(scene, robot_height=BODY_HEIGHT)
-        return cls(scene, load_scene(str(scan)), with_bodies(scene, floor, scene.bodies))
+        try:
+            scanned = load_scene(str(scan))
+        except GibsonSimError as error:
+            raise ConfigError(f"{error}; delete the folder {scan}, and run `gibson-sim learn filler pairs` again") from error
+        return cls(scene, scanned, with_bodies(scene, floor, scene.bodies))
 
 
 def shard_name(scene: str, number: int) -> str:
@@ -106,7 +123,7 @@ def shard_name(scene: str, number: int) -> str:
 def make_pairs(
     folder: Path, scene: str, scan: Path, count: int, seed: int, progress: Callable[[str], None] = lambda text: None
 ) -> None:
-    """Draws the shards of a scene that are missing.
+    """Draws the shards of a scene that are missing or damaged.
 
     Args:
         folder: where they are put.
@@ -116,13 +133,19 @@ def make_pairs(
         seed: of the views.
         progress: called with one line before each shard.
     """
-    missing = [number for number in range(count) if not (folder / shard_name(scene, number)).is_dir()]
-    if not missing:
+    todo = []
+    for number in range(count):
+        progress(f"pairs: {shard_name(scene, number)}, checking")
+        if not _is_whole(folder / shard_name(scene, number)):
+            todo.append(number)
+    if not todo:
         return
     scanned = ScannedScene.load(scene, scan)
-    for number in missing:
+    for number in todo:
         progress(f"pairs: {shard_name(scene, number)}, {count} shards of this scene")
-        save_pairs(folder / shard_name(scene, number), draw_pairs(scanned, seed, number))
+        pairs, shard = draw_pairs(scanned, seed, number), folder / shard_name(scene, number)
+        shutil.rmtree(shard, ignore_errors=True)
+        save_pairs(shard, pairs)
 
 
 def draw_pairs(scanned: ScannedScene, seed: int, number: int, *, views: int = VIEWS) -> Pairs:
@@ -177,55 +200,109 @@ def camera_at(pose: Pose, height: float, pitch: float, fov: float, side: int = S
 def save_pairs(folder: Path, pairs: Pairs) -> None:
     """Writes a shard and its digest; the folder is there whole or not at all."""
     arrays = {item.name: getattr(pairs, item.name) for item in fields(Pairs)}
-    save_arrays(folder, arrays, {_DIGEST: f"{digest_of(pairs):016x}\n"})
+    save_arrays(folder, arrays, {_DIGEST: _digest_text(pairs).decode()})
 
 
-def load_pairs(folder: Path, scenes: Sequence[str]) -> list[Pairs]:
-    """Returns all shards of some scenes, memory-mapped.
+def load_pairs(folder: Path, names: Sequence[str], progress: Callable[[str], None] = lambda text: None) -> list[Pairs]:
+    """Returns shards, memory-mapped.
+
+    Args:
+        folder: of the shards.
+        names: of the shards.
+        progress: called with one line before each shard.
 
     Raises:
-        ConfigError: one cannot be read, or a scene has none.
+        ConfigError: one is missing or damaged.
     """
-    return [load_shard(shard) for shard in shards_of(folder, scenes)]
+    check_present(folder, names)
+    shards = []
+    for name in names:
+        progress(f"checking {name}")
+        shards.append(load_shard(folder / name))
+    return shards
 
 
 def load_shard(folder: Path) -> Pairs:
-    """Returns a shard, memory-mapped.
+    """Returns a shard, memory-mapped, after a comparison with its digest.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: it cannot be read, or is not what was written.
     """
-    return Pairs(*load_arrays(folder, [item.name for item in fields(Pairs)], "run `gibson-sim learn filler pairs` again"))
+    remedy = f"run `{command_of(folder.parent)}`, which draws it again"
+    pairs = Pairs(*load_arrays(folder, [item.name for item in fields(Pairs)], remedy))
+    if _written_digest(folder) != _digest_text(pairs):
+        raise ConfigError(f"{folder}: its arrays differ from {_DIGEST}; {remedy}")
+    return pairs
 
 
-def data_hash(folder: Path, scenes: Sequence[str]) -> str:
-    """Returns a hash of all pairs of some scenes, made of the digests that were taken when they were written.
+def check_present(folder: Path, names: Sequence[str]) -> None:
+    """Checks that shards are there.
+
+    Raises:
+        ConfigError: some are missing; the message names them, and the command that draws them.
+    """
+    missing = missing_shards(folder, names)
+    if missing:
+        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+        raise ConfigError(
+            f"{folder}: {len(missing)} of {len(names)} shards are missing: {', '.join(missing[:_NAMED])}{more}; "
+            f"run `{command_of(folder)}`"
+        )
+
+
+def missing_shards(folder: Path, names: Sequence[str]) -> list[str]:
+    """Returns the names of the shards that are not in a folder."""
+    return [name for name in names if not (folder / name).is_dir()]
+
+
+def data_hash(folder: Path, names: Sequence[str]) -> str:
+    """Returns a hash of shards, made of their digests, which ``load_pairs`` compares with the arrays.
 
     Raises:
         ConfigError: as for ``load_pairs``.
     """
+    check_present(folder, names)
     digest = hashlib.sha256()
-    for shard in shards_of(folder, scenes):
-        try:
-            digest.update(f"{shard.name} ".encode() + read_file(shard / _DIGEST))
-        except OSError as error:
-            raise ConfigError(f"{shard / _DIGEST}: {error.strerror}; delete {shard}, and draw it again") from error
+    for name in names:
+        digest.update(f"{name} ".encode() + _written_digest(folder / name))
     return digest.hexdigest()[:16]
 
 
-def shards_of(folder: Path, scenes: Sequence[str]) -> list[Path]:
-    """Returns the folders of all shards of some scenes, in the order of the scenes and of their numbers.
+def stored_settings(folder: Path) -> PairsSettings:
+    """Returns the settings of the pairs in a folder; the default if it has none.
 
     Raises:
-        ConfigError: a scene has none.
+        ConfigError: they cannot be read.
     """
-    found = []
-    for scene in scenes:
-        shards = sorted(folder.glob(f"{scene}-[0-9][0-9][0-9]"))
-        if not shards:
-            raise ConfigError(f"{folder}: holds no pairs of {scene}; run gibson-sim learn filler pairs")
-        found += shards
-    return found
+    file = folder / SETTINGS
+    if not file.exists():
+        return PairsSettings()
+    try:
+        return PairsSettings(**json.loads(read_file(file, _MAX_BYTES)))
+    except (ConfigError, OSError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{file}: cannot be read: {error}; delete it, and run `gibson-sim learn filler pairs` with the options of before"
+        ) from error
+
+
+def store_settings(folder: Path, settings: PairsSettings) -> None:
+    """Stores the settings of the pairs in a folder."""
+    write_file(folder / SETTINGS, json.dumps(asdict(settings), indent=1) + "\n")
+
+
+def check_stored_settings(folder: Path, settings: PairsSettings) -> None:
+    """Checks that pairs can be added to those in a folder: settings may differ in the number of shards alone.
+
+    Raises:
+        ConfigError: another setting differs.
+    """
+    if (folder / SETTINGS).exists():
+        check_settings(folder, asdict(stored_settings(folder)), asdict(settings), ("shards",), what="pairs")
+
+
+def command_of(folder: Path) -> str:
+    """Returns the command that draws the pairs of a folder."""
+    return f"gibson-sim learn filler pairs --folder {shlex.quote(str(folder.parent))}{options_of(stored_settings(folder))}"
 
 
 def depth_of(depth_mm: U16) -> F32:
@@ -241,6 +318,26 @@ def normals_of(normals: I8) -> F32:
 def is_hole(hole: U8) -> NDArray[np.bool_]:
     """Returns where a filler fills."""
     return np.asarray((hole == NOTHING) | (hole == BACK_FACE))
+
+
+def _digest_text(pairs: Pairs) -> bytes:
+    return f"{digest_of(pairs):016x}\n".encode()
+
+
+def _written_digest(folder: Path) -> bytes:
+    """Returns the digest in a shard, empty if it cannot be read."""
+    try:
+        return read_file(folder / _DIGEST, _MAX_BYTES)
+    except (ConfigError, OSError):
+        return b""
+
+
+def _is_whole(folder: Path) -> bool:
+    try:
+        load_shard(folder)
+    except ConfigError:
+        return False
+    return True
 
 
 def _cameras(scanned: ScannedScene, rng: np.random.Generator, count: int) -> list[CameraSpec]:

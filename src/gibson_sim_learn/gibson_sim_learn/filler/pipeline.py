@@ -6,6 +6,7 @@ The folder holds ``scans/`` (a folder for each scene), ``pairs/`` (shards) and `
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,22 @@ from gibson_sim_learn.filler.evaluation import (
     sheet,
     table,
 )
-from gibson_sim_learn.filler.pairs import ScannedScene, data_hash, load_pairs, make_pairs
+from gibson_sim_learn.filler.pairs import (
+    ScannedScene,
+    check_present,
+    check_stored_settings,
+    data_hash,
+    load_pairs,
+    make_pairs,
+    missing_shards,
+    shard_name,
+    store_settings,
+    stored_settings,
+)
 from gibson_sim_learn.filler.scans import TEXTURED, make_scan
 from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
+from gibson_sim_learn.training_folder import locked
 
 SCANS, PAIRS, TRAINED = "scans", "pairs", "training"
 """Folders of a filler's folder."""
@@ -65,42 +78,57 @@ def make_all_pairs(
     scenes: Sequence[str] = SCENES,
     progress: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Scans scenes and draws their pairs, as far as that is not done.
+    """Scans scenes and draws their pairs, as far as that is not done; damaged pairs are drawn again.
+
+    Processes can share a folder if their scenes differ.
 
     Raises:
-        GibsonSimError: a scene is unknown, nothing can be drawn here, a stage failed, or the folder holds scans of other settings.
+        GibsonSimError: a scene is unknown, nothing can be drawn here, a stage failed, another process works on one of the scenes, or
+            the folder holds scans of other settings.
     """
     for scene in scenes:
         if scene not in SCENES:
             raise ConfigError(f"scene {quoted(scene)} is none of the filler's, must be one of {', '.join(SCENES)}")
-    for scene in scenes:
-        progress(f"scanning {scene}")
-        scan = make_scan(scene, folder / SCANS / scene, settings)
-        count = settings.shards if scene in TRAINING else _JUDGED_SHARDS
-        make_pairs(folder / PAIRS, scene, scan, count, settings.seed, progress)
+    scenes = list(dict.fromkeys(scenes))
+    with ExitStack() as locks:
+        for scene in scenes:
+            locks.enter_context(locked(folder / SCANS / scene, "other --scenes, or another --folder"))
+        check_stored_settings(folder / PAIRS, settings)
+        for scene in scenes:
+            progress(f"scanning {scene}")
+            scan = make_scan(scene, folder / SCANS / scene, settings)
+            store_settings(folder / PAIRS, settings)  # those of the scan, which has accepted them
+            make_pairs(folder / PAIRS, scene, scan, _count(scene, settings), settings.seed, progress)
+
+
+def missing_for_training(folder: Path) -> list[str]:
+    """Returns the names of the shards that ``train`` needs and that are missing."""
+    return missing_shards(folder / PAIRS, _shards(folder, (*TRAINING, *VALIDATION)))
 
 
 def train(folder: Path, settings: TrainingSettings, progress: Callable[[str], None] = lambda text: None) -> Trained:
     """Trains with the pairs of a folder, or goes on there, and writes the network at each point of the curve.
 
     Raises:
-        ConfigError: the folder holds no pairs, or another training.
+        ConfigError: pairs are missing or damaged, or the folder holds another training.
     """
     # Loaded here: pairs and evaluation do not need PyTorch.
     from gibson_sim_learn.filler.export import export_network, write_card
     from gibson_sim_learn.filler.training import FillerTraining
 
-    data = data_hash(folder / PAIRS, TRAINING)
-    pairs = load_pairs(folder / PAIRS, TRAINING)
-    place = folder / TRAINED
+    check_present(folder / PAIRS, _shards(folder, (*TRAINING, *VALIDATION)))
+    names, place = _shards(folder, TRAINING), folder / TRAINED
+    data = data_hash(folder / PAIRS, names)
     training = FillerTraining(place, settings, data)
+    pairs = load_pairs(folder / PAIRS, names, progress)
+    validation = load_pairs(folder / PAIRS, _shards(folder, VALIDATION), progress)
 
     def export() -> int:
         size = export_network(training.best, place / MODEL, settings, data, training.best_point.iteration)
         write_card(place / CARD, settings, training, sum(len(part.hole) for part in pairs))
         return size
 
-    training.run(pairs, load_pairs(folder / PAIRS, VALIDATION), progress, export)
+    training.run(pairs, validation, progress, export)
     size, point = export(), training.best_point
     return Trained(
         place / MODEL,
@@ -133,7 +161,8 @@ def evaluate(
         GibsonSimError: the model is none, pairs are missing, or nothing can be drawn here.
     """
     methods = fill_methods(model)
-    pairs = load_pairs(folder / PAIRS, scenes)
+    names = _shards(folder, scenes)
+    pairs = load_pairs(folder / PAIRS, names, progress)
     scores = scores_of(pairs, methods, settings.every, progress)
     flicker: dict[str, Flicker] = {}
     if settings.drive:
@@ -149,9 +178,19 @@ def evaluate(
     values: dict[str, Any] = {
         "scenes": list(scenes),
         "views": sum(len(range(0, len(part.hole), settings.every)) for part in pairs),
-        "data": data_hash(folder / PAIRS, scenes),
+        "data": data_hash(folder / PAIRS, names),
         "scores": as_json(scores),
         "flicker": as_json(flicker),
         "beats_baselines": beats_baselines(scores),
     }
     return Evaluated(table(scores, flicker), values)
+
+
+def _shards(folder: Path, scenes: Sequence[str]) -> list[str]:
+    """Returns the names of all shards of some scenes, in the order of the scenes and of their numbers, by the stored settings."""
+    settings = stored_settings(folder / PAIRS)
+    return [shard_name(scene, number) for scene in scenes for number in range(_count(scene, settings))]
+
+
+def _count(scene: str, settings: PairsSettings) -> int:
+    return settings.shards if scene in TRAINING else _JUDGED_SHARDS

@@ -70,7 +70,8 @@ def make_scan(scene: str, folder: Path, settings: PairsSettings, run: Callable[[
         if done.is_file():
             if read_file(done, _MAX_BYTES).decode("utf-8", "replace") != line:
                 raise ConfigError(f"{done}: that stage was run with other settings; give another --folder, or delete {folder}")
-            continue
+            if stage != "texture" or output.is_dir():  # the scan and the mesh may be deleted once they are textured
+                continue
         # A scan goes on where it was interrupted; the other stages write their output at the end, so what is there is a remainder.
         if stage == "texture":
             shutil.rmtree(output, ignore_errors=True)

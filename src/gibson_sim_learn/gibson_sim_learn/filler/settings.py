@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.settings import check_settings, setting
@@ -14,7 +14,7 @@ class PairsSettings:
 
     seed: int = setting(0, "Random seed of scans and views", minimum=0, maximum=2**63 - 2)
     shards: int = setting(8, "Shards of 128 views for each training scene; other scenes have two", minimum=1, maximum=999)
-    frames: int = setting(200, "Largest number of images of a scan", minimum=20, maximum=100_000)
+    frames: int = setting(200, "Largest number of images of a scan, at least 20", minimum=20, maximum=100_000)
     triangles: int = setting(150_000, "Triangles of the mesh of a scan", minimum=1000, maximum=10_000_000)
 
     def __post_init__(self) -> None:
@@ -53,7 +53,15 @@ class EvaluationSettings:
 
     seed: int = setting(0, "Random seed of drives and of the views of the contact sheet", minimum=0, maximum=2**63 - 1)
     every: int = setting(1, "Use every N-th view", minimum=1, maximum=128)
-    drive: int = setting(60, "Images of a drive in each scene, for flicker; 0 = none", minimum=0, maximum=280)
+    drive: int = setting(60, "Images of a drive in each scene, for flicker, at least 2; 0 = none", minimum=0, maximum=280)
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.drive == 1:
+            raise ConfigError("setting 'drive' is 1, must be 0 or 2 to 280: flicker is the difference of two images")
+
+
+def options_of(settings: PairsSettings | TrainingSettings) -> str:
+    """Returns the options of the command line that give these settings, without those that are the default; each begins with a space."""
+    values = {field.name: (getattr(settings, field.name), field.default) for field in fields(settings)}
+    return "".join(f" --{name.replace('_', '-')} {value}" for name, (value, default) in values.items() if value != default)
