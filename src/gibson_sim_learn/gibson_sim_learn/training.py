@@ -189,14 +189,15 @@ class Training(ABC, Generic[N, P]):
         write_file(self.checkpoint, buffer.getvalue())
         write_curve(self.folder, self.curve, self.PANELS, self.COLUMNS)
 
-    def _resume(self, point: Callable[..., P]) -> None:
+    def _resume(self, point: Callable[..., P], total: int) -> None:
         """Resumes from the checkpoint in the folder, if there is one.
 
         Args:
             point: returns a point of the curve from its fields.
+            total: number of iterations of the training by its settings.
 
         Raises:
-            ConfigError: the checkpoint has other settings, or cannot be read.
+            ConfigError: the checkpoint has other settings or more iterations, or cannot be read.
         """
         if not self.checkpoint.exists():
             return
@@ -213,6 +214,11 @@ class Training(ABC, Generic[N, P]):
         except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
             cause = " ".join(str(error).split())
             raise ConfigError(f"{self.checkpoint}: is from another version ({cause}); delete it to start anew") from error
+        if self.iteration > total:
+            raise ConfigError(
+                f"{self.folder}: holds a training of {self.iteration} iterations, more than the {total} of the settings; "
+                f"set {self.iteration} iterations or more, or choose another --folder"
+            )
 
 
 def has_bfloat16() -> bool:
@@ -233,6 +239,20 @@ def learning_rate_at(peak: float, done: int, total: int, warm_up: int) -> float:
         warm_up: number of iterations of the warm-up.
     """
     return peak * min(1.0, (done + 1) / warm_up) * 0.5 * (1.0 + math.cos(math.pi * done / max(1, total)))
+
+
+def intervals_text(curve: Sequence[CurvePoint]) -> str:
+    """Returns the intervals between the points of a curve, such as ``every 100 iterations``, or ``every 100 iterations to 400, 50 to 500``."""
+    runs: list[tuple[int, int]] = []  # interval, and iteration of the last point after it
+    before = 0
+    for point in curve:
+        interval, before = point.iteration - before, point.iteration
+        if runs and runs[-1][0] == interval:
+            runs.pop()
+        runs.append((interval, before))
+    if len(runs) == 1:
+        return f"every {runs[0][0]} iterations"
+    return "every " + ", ".join(f"{interval}{'' if k else ' iterations'} to {last}" for k, (interval, last) in enumerate(runs))
 
 
 def load_checkpoint(file: Path, settings: Mapping[str, Any], may_change: Collection[str]) -> dict[str, Any]:

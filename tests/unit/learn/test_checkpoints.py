@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,3 +101,29 @@ def test_a_full_disk_leaves_the_previous_checkpoint(tmp_path: Path, monkeypatch:
     with pytest.raises(WriteError, match=r"cannot write .*checkpoint\.pt: No space left on device .*free disk space"):
         training._save()
     assert training.checkpoint.read_bytes() == before and [p for p in training.folder.iterdir() if ".part" in p.name] == []
+
+
+def test_no_training_is_resumed_with_fewer_iterations_than_it_has(tmp_path: Path) -> None:
+    from gibson_sim_learn.path_following.settings import TrainingSettings
+    from gibson_sim_learn.path_following.training import total_iterations
+
+    # 10 before the drives, then rounds of 20, 20 and 30.
+    settings = TrainingSettings(iterations=10, dagger_rounds=3, dagger_iterations=20, last_iterations=30)
+    assert total_iterations(settings) == 80 and total_iterations(replace(settings, dagger_rounds=0)) == 10
+    for training in trainings(tmp_path):
+        training.iteration = 10_000_000
+        training._save()
+        with pytest.raises(ConfigError, match="holds a training of 10000000 iterations, more than the"):
+            trainings(tmp_path)
+        training.checkpoint.unlink()
+
+
+def test_the_card_of_path_following_names_a_file_of_settings_if_it_needs_one() -> None:
+    pytest.importorskip("onnx", reason="could not import 'torch' with its exporter onnx")
+    from gibson_sim_learn.path_following.export import command_of
+    from gibson_sim_learn.path_following.settings import load_settings
+
+    settings = load_settings(None, 3)
+    assert command_of(settings) == "`gibson-sim learn path-following --seed 3`"
+    changed = replace(settings, later=settings.later + 1)
+    assert command_of(changed) == "`gibson-sim learn path-following --config FILE --seed 3`, where FILE has the settings below"

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.durations import duration_text
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling.fillers import open_filler
 from gibson_sim_learn.filler.pairs import Pairs
-from gibson_sim_learn.filler.settings import TrainingSettings
+from gibson_sim_learn.filler.settings import PairsSettings, TrainingSettings
 
 torch = pytest.importorskip("torch")  # "could not import 'torch'"
 SETTINGS = TrainingSettings(iterations=4, batch=2, crop=32, evaluate_every=2)
@@ -73,11 +74,35 @@ def test_best_weights_are_those_of_the_best_point_of_the_curve(tmp_path: Path) -
     assert training.best_point is (first if first.rank >= second.rank else second)
     for one, other in zip(training.best.state_dict().values(), best.values(), strict=True):
         torch.testing.assert_close(one, other)
-    write_card(tmp_path / "filler.md", SETTINGS, training, 4)
+    write_card(tmp_path / "filler.md", SETTINGS, training, 4, PairsSettings(shards=2))
     card = (tmp_path / "filler.md").read_text()
-    assert (
-        f"those of iteration {training.best_point.iteration}," in card and "4 of 4 iterations" in card and "hash `data`" in card
-    )
+    assert f"those of iteration {training.best_point.iteration}," in card and "hash `data`" in card
+    assert "`gibson-sim learn filler pairs --shards 2`" in card
+    assert "`gibson-sim learn filler train --iterations 4 --batch 2 --crop 32 --evaluate-every 2`" in card
+    assert f"4 of 4 iterations, {duration_text(second.processor_s)} of processor time, evaluated every 2 iterations;" in card
+
+
+def test_fewer_iterations_than_the_training_in_the_folder_has_are_refused(tmp_path: Path) -> None:
+    from gibson_sim_learn.filler.training import FillerTraining
+
+    FillerTraining(tmp_path, SETTINGS, "data").run([pairs()], [pairs()])
+    with pytest.raises(
+        ConfigError, match="holds a training of 4 iterations, more than the 2 of the settings; set 4 iterations or"
+    ):
+        FillerTraining(tmp_path, replace(SETTINGS, iterations=2), "data")
+    assert FillerTraining(tmp_path, SETTINGS, "data").iteration == 4
+
+
+def test_a_changed_interval_between_evaluations_is_stated(tmp_path: Path) -> None:
+    from gibson_sim_learn.filler.training import FillerTraining
+    from gibson_sim_learn.training import CurvePoint, intervals_text
+
+    FillerTraining(tmp_path, SETTINGS, "data").run([pairs()], [pairs()])
+    second = FillerTraining(tmp_path, replace(SETTINGS, iterations=7, evaluate_every=1), "data")
+    second.run([pairs()], [pairs()])
+    assert intervals_text(second.curve) == "every 2 iterations to 4, 1 to 7"
+    assert intervals_text([CurvePoint(at, 0.0, 0.0) for at in (5, 10, 12)]) == "every 5 iterations to 10, 2 to 12"
+    assert intervals_text(second.curve[:1]) == "every 2 iterations"
 
 
 def test_a_mirrored_cutting_has_mirrored_normals() -> None:

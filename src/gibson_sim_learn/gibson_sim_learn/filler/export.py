@@ -17,20 +17,22 @@ import onnx
 import torch
 from torch import Tensor, nn
 
+from gibson_sim.durations import duration_text
 from gibson_sim.filling.inputs import CHANNELS
 from gibson_sim.filling.network import VERSION
 from gibson_sim.writing import write_file
 from gibson_sim_learn.filler.network import FillerNetwork, multiplications, parameter_count
-from gibson_sim_learn.filler.settings import TrainingSettings
+from gibson_sim_learn.filler.settings import PairsSettings, TrainingSettings, options_of
 from gibson_sim_learn.filler.training import FillerTraining
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
+from gibson_sim_learn.training import intervals_text
 
 _OPSET = 17
 
 
 def command_of(settings: TrainingSettings) -> str:
     """Returns the command that trains such a network."""
-    return f"gibson-sim learn filler train --iterations {settings.iterations} --seed {settings.seed}"
+    return f"gibson-sim learn filler train{options_of(settings)}"
 
 
 def export_network(network: FillerNetwork, file: Path, settings: TrainingSettings, data: str, iteration: int) -> int:
@@ -78,6 +80,7 @@ def write_card(
     settings: TrainingSettings,
     training: FillerTraining,
     pairs: int,
+    pairs_settings: PairsSettings,
     results: Sequence[str] = (),
 ) -> None:
     """Writes the card of a network, Markdown.
@@ -87,6 +90,7 @@ def write_card(
         settings: settings of the training.
         training: the training; its curve has at least one point.
         pairs: number of training pairs.
+        pairs_settings: settings of the pairs.
         results: further lines, such as results on held-out scenes.
     """
     point, best = training.curve[-1], training.best_point
@@ -100,10 +104,11 @@ def write_card(
         f"- **Trained in**: {', '.join(TRAINING)}. **Validated in**: {', '.join(VALIDATION)}. **Held out**: {', '.join(HELD_OUT)}.",
         f"- **Data**: {pairs} pairs of 256x256 pixels from simulated scans (preset `kinect`, textured), hash `{training.data}`; "
         "rendered by Gibson Sim, no photographs.",
-        f"- **Command**: `gibson-sim learn filler pairs`, `{command_of(settings)}`",
-        f"- **Training**: {point.iteration} of {settings.iterations} iterations, {point.processor_s / 60.0:.0f} minutes of processor time; "
-        f"the weights are those of iteration {best.iteration}, the best on the validation scenes.",
-        "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in asdict(settings).items()),
+        f"- **Command**: `gibson-sim learn filler pairs{options_of(pairs_settings)}`, `{command_of(settings)}`",
+        f"- **Training**: {point.iteration} of {settings.iterations} iterations, {duration_text(point.processor_s)} of processor time, "
+        f"evaluated {intervals_text(training.curve)}; the weights are those of iteration {best.iteration}, the best on the validation scenes.",
+        "- **Settings**: "
+        + ", ".join(f"{name} {value}" for name, value in asdict(settings).items() if name not in FillerTraining.MAY_CHANGE),
         f"- **On the validation scenes**: holes {best.hole_psnr:.2f} dB, seen {best.seen_psnr:.2f} dB, GMSD {best.gmsd:.3f}.",
         "- **Licence**: Apache-2.0, as Gibson Sim.",
         "",

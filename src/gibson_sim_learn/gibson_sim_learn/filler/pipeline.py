@@ -118,14 +118,15 @@ def train(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
 
     check_present(folder / PAIRS, _shards(folder, (*TRAINING, *VALIDATION)))
     names, place = _shards(folder, TRAINING), folder / TRAINED
-    data = data_hash(folder / PAIRS, names)
-    training = FillerTraining(place, settings, data)
     pairs = load_pairs(folder / PAIRS, names, progress)
     validation = load_pairs(folder / PAIRS, _shards(folder, VALIDATION), progress)
+    data = data_hash(folder / PAIRS, names)
+    training = FillerTraining(place, settings, data)
 
     def export() -> int:
         size = export_network(training.best, place / MODEL, settings, data, training.best_point.iteration)
-        write_card(place / CARD, settings, training, sum(len(part.hole) for part in pairs))
+        count = sum(len(part.hole) for part in pairs)
+        write_card(place / CARD, settings, training, count, stored_settings(folder / PAIRS))
         return size
 
     training.run(pairs, validation, progress, export)

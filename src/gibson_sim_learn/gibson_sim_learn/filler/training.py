@@ -82,7 +82,7 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
             data: hash of the pairs.
 
         Raises:
-            ConfigError: the checkpoint in the folder is of other settings or pairs, or cannot be read.
+            ConfigError: the checkpoint in the folder is of other settings or pairs, has more iterations, or cannot be read.
         """
         self.settings, self.data = settings, data
         optimiser = OptimiserSettings(
@@ -98,7 +98,7 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
         """The mean of the weights of the last steps."""
         self.best = copy.deepcopy(self.network)
         """The same at the best point of the curve: a long training learns its scenes by heart."""
-        self._resume(FillerPoint)
+        self._resume(FillerPoint, settings.iterations)
 
     @property
     def best_point(self) -> FillerPoint:

@@ -16,6 +16,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
+from gibson_sim.durations import duration_text
 from gibson_sim.writing import write_file
 from gibson_sim_learn.goggles.network import SMALL, GogglesNetwork, parameter_count
 from gibson_sim_learn.goggles.pairs import TRAINING_DOMAINS
@@ -83,7 +84,7 @@ def write_card(
         f"**Validation scenes**: {', '.join(VALIDATION)}. **Held out**: {', '.join(HELD_OUT)}.",
         f"- **Data**: {pairs} pairs of 96x64 pixels; rendered by Gibson Sim, no photographs.",
         f"- **Command**: `gibson-sim learn goggles --seed {settings.seed} --iterations {settings.iterations}`",
-        f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time.",
+        f"- **Training**: {point.iteration} iterations, {duration_text(point.processor_s)} of processor time.",
         "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in as_dict(settings).items()),
         "- **Licence**: Apache-2.0, as Gibson Sim.",
         "",

@@ -54,7 +54,7 @@ class GogglesTraining(Training[GogglesNetwork, GogglesPoint]):
             evaluate_every=settings.evaluate_every,
         )
         super().__init__(folder, as_dict(settings), optimiser, GogglesNetwork)
-        self._resume(GogglesPoint)
+        self._resume(GogglesPoint, settings.iterations)
 
     def run(self, data: Sequence[Pairs], validation: Sequence[Pairs], progress: Progress = lambda text: None) -> None:
         """Trains for the iterations of the settings, with a point of the curve and a checkpoint every ``evaluate_every``.

@@ -19,17 +19,25 @@ import torch
 from torch import Tensor, nn
 
 from gibson_path_following.pose_filter import OffsetCalibration
+from gibson_sim.durations import duration_text
 from gibson_sim.writing import write_file
 from gibson_sim_learn.path_following.data import FREE_EDGES
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.distances.training import DistancePoint
 from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
-from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
+from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict, load_settings
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
 from gibson_sim_learn.path_following.training import PathPoint
 
 _OPSET = 17
+
+
+def command_of(settings: TrainingSettings) -> str:
+    """Returns the command that trains such a network, Markdown; settings that are not those of the package need a file."""
+    if settings == load_settings(None, settings.seed):
+        return f"`gibson-sim learn path-following --seed {settings.seed}`"
+    return f"`gibson-sim learn path-following --config FILE --seed {settings.seed}`, where FILE has the settings below"
 
 
 def export_network(network: PathNetwork, file: Path, offsets: OffsetCalibration, distances: DistanceNetwork | None = None) -> int:
@@ -111,9 +119,9 @@ def write_card(
         f"- **Trained in**: {', '.join(TRAINING)}, domain `trained`. **Validated in**: {', '.join(VALIDATION)}. "
         f"**Held out**: {', '.join(HELD_OUT)}.",
         f"- **Data**: {', '.join(f'{number} {name}' for name, number in data.items())}; rendered by Gibson Sim, no photographs.",
-        f"- **Command**: `gibson-sim learn path-following --seed {settings.seed}`",
-        f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time; free "
-        f"distances: {free.iteration}, {free.processor_s / 60.0:.0f} minutes.",
+        f"- **Command**: {command_of(settings)}",
+        f"- **Training**: {point.iteration} iterations, {duration_text(point.processor_s)} of processor time; free "
+        f"distances: {free.iteration}, {duration_text(free.processor_s)}.",
         "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in as_dict(settings).items()),
         "- **Licence**: Apache-2.0, as Gibson Sim.",
         "",

@@ -93,7 +93,7 @@ class PathTraining(Training[PathNetwork, PathPoint]):
             bfloat16=settings.bfloat16,
         )
         super().__init__(folder, as_dict(settings), optimiser, PathNetwork)
-        self._resume(PathPoint)
+        self._resume(PathPoint, total_iterations(settings))
 
     @property
     def first_of_round(self) -> int:
@@ -207,6 +207,13 @@ class PathTraining(Training[PathNetwork, PathPoint]):
 
     def _restore(self, content: Mapping[str, Any]) -> None:
         self.round = content["round"]
+
+
+def total_iterations(settings: TrainingSettings) -> int:
+    """Returns the number of iterations of a whole training, with its rounds of DAgger."""
+    if not settings.dagger_rounds:
+        return settings.iterations
+    return settings.iterations + (settings.dagger_rounds - 1) * settings.dagger_iterations + settings.last_iterations
 
 
 def calibrate_offsets(predicted: NDArray[np.float64], true: NDArray[np.float64]) -> OffsetCalibration:

@@ -79,7 +79,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
             bfloat16=settings.bfloat16,
         )
         super().__init__(folder, kept, optimiser, DistanceNetwork)
-        self._resume(DistancePoint)
+        self._resume(DistancePoint, own.iterations)
 
     def run(
         self,
