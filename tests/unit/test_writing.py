@@ -16,7 +16,7 @@ import pytest
 
 from gibson_sim.errors import WriteError
 from gibson_sim.picture_files import write_array, write_picture
-from gibson_sim.writing import cannot_write, replacing, size_text, write_file
+from gibson_sim.writing import cannot_write, check_writable, replacing, size_text, write_file
 
 
 @contextmanager
@@ -110,3 +110,14 @@ def test_output_that_cannot_be_printed_is_said_in_one_line(words: tuple[str, ...
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
     assert done.stderr.startswith("gibson-sim: error: cannot write the output: No space left on device")
+
+
+def test_a_check_of_a_file_writes_nothing_and_leaves_what_is_there(tmp_path: Path) -> None:
+    file = tmp_path / "new" / "a.json"
+    check_writable(file)
+    assert os.listdir(file.parent) == []
+    file.write_text("old")
+    check_writable(file)
+    assert os.listdir(file.parent) == ["a.json"] and file.read_text() == "old"
+    with pytest.raises(WriteError, match="Is a directory"):
+        check_writable(tmp_path)

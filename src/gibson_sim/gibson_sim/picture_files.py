@@ -40,10 +40,18 @@ def write_picture(path: str | Path, pixels: NDArray[Any], options: Sequence[int]
     except cv2.error:
         encoded, data = False, np.zeros(0, dtype=np.uint8)
     if not encoded:
-        raise WriteError(
-            f"cannot write {path}: its suffix is that of no image format; the name must end in {', '.join(SUFFIXES)}"
-        )
+        raise _no_image_format(path)
     write_file(path, data.tobytes(), durable=durable)
+
+
+def check_picture_suffix(path: Path) -> None:
+    """Checks that an image can be written to a file of this name, before it is made.
+
+    Raises:
+        WriteError: the suffix is not that of an image format.
+    """
+    if not cv2.haveImageWriter(path.name):
+        raise _no_image_format(path)
 
 
 def write_array(path: str | Path, values: NDArray[Any], *, durable: bool = True) -> None:
@@ -60,3 +68,7 @@ def write_array(path: str | Path, values: NDArray[Any], *, durable: bool = True)
     content = io.BytesIO()
     np.save(content, values)
     write_file(path, content.getvalue(), durable=durable)
+
+
+def _no_image_format(path: Path) -> WriteError:
+    return WriteError(f"cannot write {path}: its suffix is that of no image format; the name must end in {', '.join(SUFFIXES)}")

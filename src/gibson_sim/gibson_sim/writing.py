@@ -11,7 +11,7 @@ import os
 import shutil
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -37,6 +37,20 @@ def write_file(path: str | Path, content: bytes | str, *, durable: bool = True) 
     data = content.encode("utf-8") if isinstance(content, str) else content
     with replacing(path, durable=durable, needs=len(data)) as draft, draft.open("wb", buffering=0) as file:
         _write_all(file.fileno(), data)
+
+
+def check_writable(path: str | Path) -> None:
+    """Checks that a file can be written, before its content is made; creates its folder if necessary.
+
+    Raises:
+        WriteError: the file cannot be written.
+    """
+
+    class Cancelled(Exception):
+        """Ends the block, so that the draft is deleted."""
+
+    with suppress(Cancelled), replacing(path, durable=False):
+        raise Cancelled
 
 
 @contextmanager

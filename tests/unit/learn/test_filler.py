@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import errno
 import os
 import shutil
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError, WriteError
+from gibson_sim.filling.fillers import PushPull
+from gibson_sim_learn.cli import learn
 from gibson_sim_learn.filler import pipeline
 from gibson_sim_learn.filler.evaluation import Flicker, beats_baselines, mean_flicker, scores_of, table
 from gibson_sim_learn.filler.pairs import Pairs, ScannedScene, data_hash, depth_of, load_pairs, save_pairs
@@ -98,9 +101,9 @@ def test_ways_are_scored_on_every_nth_view() -> None:
 def test_a_network_is_worth_shipping_if_it_beats_the_best_classical_in_holes_and_nothing_where_seen() -> None:
     scores = {name: Score(15.0, 20.0, 0.5, 0.6, 0.2) for name in ("nothing", "telea", "navier_stokes", "push_pull")}
     better = Score(15.1, 20.1, 0.5, 0.6, 0.2)
-    assert beats_baselines(scores | {"learned": better})
-    assert not beats_baselines(scores | {"learned": replace(better, seen_psnr=20.0)})
-    assert not beats_baselines(scores | {"learned": better, "telea": replace(better, hole_psnr=15.2)})
+    assert beats_baselines(scores | {"own.onnx": better}, "own.onnx")
+    assert not beats_baselines(scores | {"learned": replace(better, seen_psnr=20.0)}, "learned")
+    assert not beats_baselines(scores | {"learned": better, "telea": replace(better, hole_psnr=15.2)}, "learned")
     lines = table({"learned": better}, mean_flicker([{"learned": Flicker(1.0, 2.0)}, {"learned": Flicker(2.0, 4.0)}]))
     assert lines[-1] == "| `learned` | 15.10 dB, 0.500 | 20.10 dB, 0.600 | 0.200 | 1.50, 3.00 |"
 
@@ -276,3 +279,33 @@ def test_options_of_settings_are_those_that_differ_from_the_default() -> None:
     assert options_of(TrainingSettings()) == "" and options_of(PairsSettings(shards=2)) == " --shards 2"
     settings = TrainingSettings(batch=2, crop=64, evaluate_every=10, learning_rate=1e-4)
     assert options_of(settings) == " --batch 2 --crop 64 --learning-rate 0.0001 --evaluate-every 10"
+
+
+def test_evaluation_names_the_file_of_a_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("linden_flat-000", "linden_flat-001"):
+        save_pairs(tmp_path / "pairs" / name, pairs())
+    monkeypatch.setattr("gibson_sim_learn.filler.evaluation.open_filler", lambda name: PushPull())
+    for model, name in ((None, "learned"), (tmp_path / "own.onnx", str(tmp_path / "own.onnx"))):
+        found = pipeline.evaluate(
+            tmp_path, ["linden_flat"], model, EvaluationSettings(drive=0), sheet_file=tmp_path / "sheet.png"
+        )
+        assert list(found.values["scores"])[-1] == name and found.lines[-1].startswith(f"| `{name}` |")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--report", "."], r"cannot write \.: Is a directory"),
+        (["--sheet", "sheet.xyz"], r"cannot write sheet\.xyz: its suffix is that of no image format; the name must end in \.png"),
+    ],
+)
+def test_outputs_that_cannot_be_written_are_refused_before_the_evaluation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    parser = argparse.ArgumentParser()
+    learn.add_parser(parser.add_subparsers())
+    monkeypatch.setattr(pipeline, "evaluate", lambda *args, **kwargs: pytest.fail("the evaluation began"))
+    with pytest.raises(WriteError, match=message):
+        learn.run_filler_evaluation(parser.parse_args(["learn", "filler", "evaluate", *options]))
+    assert list(tmp_path.iterdir()) == []

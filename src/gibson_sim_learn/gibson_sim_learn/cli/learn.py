@@ -16,6 +16,8 @@ from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError, EnvironmentProblemError
+from gibson_sim.picture_files import check_picture_suffix
+from gibson_sim.writing import check_writable
 from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
 from gibson_sim_learn.training_folder import locked
 
@@ -196,15 +198,19 @@ def run_filler_training(args: argparse.Namespace) -> int:
 def run_filler_evaluation(args: argparse.Namespace) -> int:
     """Compares fillers, and prints a table."""
     settings = settings_from_args(EvaluationSettings, args)
+    for file in (args.sheet, args.report):  # found here, not after the evaluation
+        if file is not None:
+            check_writable(file)
+    if args.sheet is not None:
+        check_picture_suffix(args.sheet)
     with _progress("interrupted; nothing is written") as progress:
-        from gibson_sim_learn.filler.pipeline import MODEL, TRAINED, evaluate
+        from gibson_sim_learn.filler.pipeline import evaluate
         from gibson_sim_learn.path_following.split import HELD_OUT, VALIDATION
 
-        model = args.folder / TRAINED / MODEL if args.model is None else args.model
         found = evaluate(
             args.folder,
             VALIDATION if args.validation else HELD_OUT,
-            model,
+            args.model,
             settings,
             sheet_file=args.sheet,
             progress=progress,

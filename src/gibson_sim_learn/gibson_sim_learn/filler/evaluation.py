@@ -47,8 +47,12 @@ class Flicker:
     """In holes of the later image."""
 
 
-def fill_methods(model: Path) -> dict[str, FillMethod]:
-    """Returns by name what is compared: ``nothing`` leaves an image as it is, ``learned`` is a network in a file.
+def fill_methods(model: Path, name: str) -> dict[str, FillMethod]:
+    """Returns by name what is compared: ``nothing`` leaves an image as it is, the last one is a network.
+
+    Args:
+        model: file of the network.
+        name: of the network.
 
     Raises:
         ConfigError: the model is none.
@@ -66,7 +70,7 @@ def fill_methods(model: Path) -> dict[str, FillMethod]:
         "telea": inpainted(cv2.INPAINT_TELEA),
         "navier_stokes": inpainted(cv2.INPAINT_NS),
         "push_pull": lambda colour, depth, normals, hole: filled_colour(colour, hole),
-        "learned": lambda colour, depth, normals, hole: filler.fill(colour, depth, normals, hole, with_depth=False).colour,
+        name: lambda colour, depth, normals, hole: filler.fill(colour, depth, normals, hole, with_depth=False).colour,
     }
 
 
@@ -120,7 +124,7 @@ def flicker_of(scanned: ScannedScene, methods: Mapping[str, FillMethod], seed: i
     return {name: Flicker(*(sums[name] / np.maximum(counts, 1)).tolist()) for name in names}
 
 
-def sheet(pairs: Sequence[Pairs], methods: Mapping[str, FillMethod], seed: int) -> U8:
+def sheet(pairs: Sequence[Pairs], methods: Mapping[str, FillMethod], network: str, seed: int) -> U8:
     """Returns an image, RGB: in each row a view of the scan, filled by push-pull, by the network, and the truth; views by the seed."""
     rng = np.random.default_rng(seed)
     views = [(part, k) for part in pairs for k in range(len(part.hole))]
@@ -128,7 +132,7 @@ def sheet(pairs: Sequence[Pairs], methods: Mapping[str, FillMethod], seed: int) 
     for number in rng.permutation(len(views))[:_ROWS].tolist():
         part, k = views[number]
         given = view_arrays(part, k)
-        chosen = [methods[name](*given) for name in ("nothing", "push_pull", "learned")]
+        chosen = [methods[name](*given) for name in ("nothing", "push_pull", network)]
         rows.append(np.concatenate([*chosen, part.truth[k]], axis=1))
     return np.concatenate(rows)
 
@@ -164,9 +168,9 @@ def mean_flicker(found: Sequence[Mapping[str, Flicker]]) -> dict[str, Flicker]:
     }
 
 
-def beats_baselines(scores: Mapping[str, Score]) -> bool:
-    """Returns whether the network beats every classical method in holes, and the unfilled image where the scan is seen, by PSNR."""
-    learned = scores["learned"]
+def beats_baselines(scores: Mapping[str, Score], network: str) -> bool:
+    """Returns whether a network, by its name, beats every classical method in holes, and the unfilled image where the scan is seen, by PSNR."""
+    learned = scores[network]
     return (
         learned.hole_psnr > max(scores[name].hole_psnr for name in CLASSICAL) and learned.seen_psnr > scores["nothing"].seen_psnr
     )

@@ -142,7 +142,7 @@ def train(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
 def evaluate(
     folder: Path,
     scenes: Sequence[str],
-    model: Path,
+    model: Path | None,
     settings: EvaluationSettings,
     *,
     sheet_file: Path | None = None,
@@ -153,7 +153,7 @@ def evaluate(
     Args:
         folder: with scans and pairs.
         scenes: that judge.
-        model: the network.
+        model: file of the network, which names it in the result; None = that of the folder, ``learned``.
         settings: on how much.
         sheet_file: image of examples; None = none.
         progress: called with one line now and then.
@@ -161,7 +161,8 @@ def evaluate(
     Raises:
         GibsonSimError: the model is none, pairs are missing, or nothing can be drawn here.
     """
-    methods = fill_methods(model)
+    network = "learned" if model is None else str(model)
+    methods = fill_methods(folder / TRAINED / MODEL if model is None else model, network)
     names = _shards(folder, scenes)
     pairs = load_pairs(folder / PAIRS, names, progress)
     scores = scores_of(pairs, methods, settings.every, progress)
@@ -175,14 +176,14 @@ def evaluate(
             )
         flicker = mean_flicker(found)
     if sheet_file is not None:
-        write_picture(sheet_file, sheet(pairs, methods, settings.seed)[..., ::-1])
+        write_picture(sheet_file, sheet(pairs, methods, network, settings.seed)[..., ::-1])
     values: dict[str, Any] = {
         "scenes": list(scenes),
         "views": sum(len(range(0, len(part.hole), settings.every)) for part in pairs),
         "data": data_hash(folder / PAIRS, names),
         "scores": as_json(scores),
         "flicker": as_json(flicker),
-        "beats_baselines": beats_baselines(scores),
+        "beats_baselines": beats_baselines(scores, network),
     }
     return Evaluated(table(scores, flicker), values)
 
