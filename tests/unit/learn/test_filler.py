@@ -214,7 +214,7 @@ def test_unreadable_settings_of_pairs_say_what_to_do(tmp_path: Path) -> None:
 def test_a_scan_that_cannot_be_loaded_says_what_to_delete(tmp_path: Path) -> None:
     (tmp_path / "textured").mkdir()
     with pytest.raises(
-        ConfigError, match=rf"delete the folder {tmp_path}/textured, and run `gibson-sim learn filler pairs` again"
+        ConfigError, match=rf"delete the folder {tmp_path}/textured, and run `gibson-sim learn filler pairs` with the"
     ):
         ScannedScene.load("arena", tmp_path / "textured")
 

@@ -111,7 +111,9 @@ class ScannedScene:
         try:
             scanned = load_scene(str(scan))
         except GibsonSimError as error:
-            raise ConfigError(f"{error}; delete the folder {scan}, and run `gibson-sim learn filler pairs` again") from error
+            raise ConfigError(
+                f"{error}; delete the folder {scan}, and run `gibson-sim learn filler pairs` with the options of before"
+            ) from error
         return cls(scene, scanned, with_bodies(scene, floor, scene.bodies))
 
 
