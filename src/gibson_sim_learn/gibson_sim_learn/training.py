@@ -271,12 +271,14 @@ def load_checkpoint(file: Path, settings: Mapping[str, Any], may_change: Collect
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on pickle protocols; the error says enough
-            content = torch.load(file, weights_only=True)
+            content: dict[str, Any] = torch.load(file, weights_only=True)
     except Exception as error:
         raise ConfigError(f"{file}: cannot be loaded: {_cause_of(error)}; delete it to start anew") from error
-    if not (isinstance(content, dict) and isinstance(content.get("settings"), dict)):
-        raise ConfigError(f"{file}: is not a checkpoint of a training; delete it to start anew")
-    check_settings(file.parent, content["settings"], settings, may_change)
+    try:
+        stored = dict(json.loads(json.dumps(content["settings"])))
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{file}: is not a checkpoint of a training; delete it to start anew") from error
+    check_settings(file.parent, stored, settings, may_change)
     return content
 
 

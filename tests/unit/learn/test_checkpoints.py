@@ -77,6 +77,16 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path: Path, content: by
     assert "\n" not in str(error.value) and "weights_only" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    "content", [[], {}, 3, torch.zeros(2), {"settings": torch.zeros(2)}, {"settings": {"seed": torch.zeros(2)}}]
+)
+def test_a_file_with_other_content_is_refused_in_one_line(tmp_path: Path, content: object) -> None:
+    (tmp_path / "filler").mkdir()
+    torch.save(content, tmp_path / "filler" / "checkpoint.pt")
+    with pytest.raises(ConfigError, match=r"checkpoint\.pt: is not a checkpoint of a training; delete it to start anew"):
+        trainings(tmp_path)
+
+
 def test_a_checkpoint_of_another_network_is_refused_in_one_line(tmp_path: Path) -> None:
     training = trainings(tmp_path)[0]
     training._save()
