@@ -17,7 +17,7 @@ from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, ImageEffects, Pose
 from render.drawing import EYE, box, scene, state
-from support.filler_networks import our_network
+from support.filler_networks import our_network, pipeline
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 
@@ -101,6 +101,27 @@ def test_smooth_edges_do_not_bring_the_background_into_the_hole() -> None:
     for frame in (smooth, fisheye):
         row = frame.rgb[frame.camera.height // 2, 20:41]
         assert row[:, 0].max() == 0 and row[:, 2].max() == 0, "the wall and what is between is pure green"
+
+
+def test_a_panorama_is_filled_across_its_edge() -> None:
+    camera = replace(FILLED, pose=Pose(quat_xyzw=quat_from_matrix(np.diag([-1.0, -1.0, 1.0]) @ R_LINK_OPTICAL)), fill_depth=True)
+    camera = replace(camera, projection="equirectangular", width=128, height=64)
+    with Renderer(scene(LEFT, RIGHT)) as made:
+        frame = _see(made, camera)
+    # The gap between the red and the green wall is behind the camera: at the left and the right edge of the image.
+    assert (frame.hole[32, [0, -1]] == 1).all()
+    step = np.abs(frame.rgb[32, 0].astype(int) - frame.rgb[32, -1])
+    assert step.max() < 60, "a step of the ramp from red to green, not the whole of it"
+    assert abs(frame.depth[32, 0] - frame.depth[32, -1]) < 0.05
+
+
+def test_what_a_fisheye_does_not_see_stays_black_and_is_a_hole_to_networks(tmp_path: Path) -> None:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(pipeline())
+    camera = replace(FILLED, projection="fisheye", fov=math.pi)
+    with Renderer(scene(LEFT, RIGHT)) as made:
+        frame = _see(made, replace(camera, fill=str(file)))
+    assert (frame.hole == 3).any() and not frame.rgb[frame.hole == 3].any()
 
 
 def test_a_hole_that_is_filled_is_nearer_to_the_closed_wall_than_one_that_is_not(renderer: Renderer) -> None:

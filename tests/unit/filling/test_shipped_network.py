@@ -7,7 +7,7 @@ import onnxruntime
 import pytest
 
 from gibson_sim.filling.fillers import LEARNED, open_filler
-from gibson_sim.filling.holes import BACK_FACE, NOTHING, UNSEEN
+from gibson_sim.filling.holes import BACK_FACE, NOTHING, OUTSIDE, UNSEEN
 
 SIZE = (96, 128)
 
@@ -33,6 +33,15 @@ def test_it_fills_holes_from_their_surroundings_and_leaves_the_sky() -> None:
         assert np.abs(found[region] - expected).mean() < 20.0
     assert (found[hole == UNSEEN] == (255, 0, 255)).all()
     assert np.abs(found[hole == 0] - colour[hole == 0]).mean() < 5.0, "what is seen is corrected, not repainted"
+
+
+def test_the_black_rim_of_a_fisheye_does_not_darken_what_is_seen_beside_it() -> None:
+    colour, depth, normals, hole = wall()
+    hole[:, :16] = OUTSIDE
+    colour[:, :16], depth[:, :16], normals[:, :16] = 0, np.inf, 0.0
+    found = open_filler("learned").fill(colour, depth, normals, hole, with_depth=False).colour.astype(int)
+    assert not found[:, :16].any()
+    assert np.abs(found[4:44, 16:20] - colour[4:44, 16:20]).mean() < 8.0
 
 
 def test_the_same_image_gives_the_same_bits() -> None:

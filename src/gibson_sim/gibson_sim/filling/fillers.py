@@ -40,7 +40,7 @@ class Filler(Protocol):
             colour: (H, W, 3), sRGB, as rendered.
             depth: (H, W), metres, +inf = nothing.
             normals: (H, W, 3), optical frame, facing the camera, 0 = nothing.
-            hole: (H, W), as ``Frame.hole``.
+            hole: (H, W), as ``Frame.hole``, but ``OUTSIDE`` outside the lens.
             with_depth: also fill depth.
 
         Raises:

@@ -15,6 +15,10 @@ UNSEEN = 3
 """No surface and no hole: outside the field of view of the lens, or sky if the scene has one."""
 
 
+OUTSIDE = 4
+"""Only as input of fillers, where ``Frame.hole`` has ``UNSEEN``: outside the field of view of the lens, and not sky."""
+
+
 def is_hole(hole: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Returns the mask of the holes in a hole image (H, W)."""
     return np.asarray((hole == NOTHING) | (hole == BACK_FACE))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling.fillers import Filled
-from gibson_sim.filling.holes import SURFACE, UNSEEN, is_hole
+from gibson_sim.filling.holes import NOTHING, OUTSIDE, SURFACE, UNSEEN, is_hole
 from gibson_sim.filling.inputs import CHANNELS, filled_colour, packed
 from gibson_sim.filling.onnx_files import open_session, run
 from gibson_sim.filling.push_pull import push_pull_depth
@@ -97,13 +97,15 @@ class GibsonNetwork:
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
         """See ``Filler``."""
         height, width = hole.shape
-        values = packed(filled_colour(colour, hole), depth, normals, hole)
+        # Trained on pinhole cameras, the network knows no black rim: to it, pixels outside the lens are holes.
+        known = np.where(hole == OUTSIDE, np.uint8(NOTHING), hole)
+        values = packed(filled_colour(colour, known), depth, normals, known)
         padding = ((0, 0), (0, 0), (0, -height % MULTIPLE), (0, -width % MULTIPLE))
         values = np.pad(values, padding, mode="edge") if height % MULTIPLE or width % MULTIPLE else values
         outputs = run(self._session, self._file, {self._name: values})
         image = _planes(outputs[0], self._file, (1, 3, *values.shape[2:]))[0, :, :height, :width]
         out = _bytes(image)
-        np.copyto(out, colour, where=(hole == UNSEEN)[:, :, None])
+        np.copyto(out, colour, where=((hole == UNSEEN) | (hole == OUTSIDE))[:, :, None])
         if not with_depth:
             return Filled(out)
         if not self._has_depth:
@@ -122,7 +124,7 @@ class MiGanPipeline:
         """See ``Filler``."""
 
         def inpainted() -> U8:
-            known = np.where(is_hole(hole), 0, 255).astype(np.uint8)
+            known = np.where(is_hole(hole) | (hole == OUTSIDE), 0, 255).astype(np.uint8)
             feeds = {"image": np.ascontiguousarray(colour.transpose(2, 0, 1))[None], "mask": known[None, None]}
             image = run(self._session, self._file, feeds)[0]
             if image.shape != (1, 3, *hole.shape) or image.dtype != np.uint8:

@@ -8,12 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.filling.fillers import Filler, open_filler
-from gibson_sim.filling.holes import NOTHING, SURFACE, is_hole
+from gibson_sim.filling.fillers import Filled, Filler, open_filler
+from gibson_sim.filling.holes import NOTHING, OUTSIDE, SURFACE, is_hole
 from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.draw.target import ATTACHMENT, RenderTarget
-from gibson_sim.render.readback.frames import RAW_FORMATS, TargetImage, depth_of, hole_of, normals_of
+from gibson_sim.render.readback.frames import RAW_FORMATS, TargetImage, depth_of, hole_of, normals_of, outside_of
+from gibson_sim.types import CameraSpec
 
+Bools = NDArray[np.bool_]
+F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 _NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
@@ -39,12 +42,13 @@ class HoleFilling:
             self._fillers[fill] = open_filler(fill)
         return self._fillers[fill]
 
-    def fill(self, target: RenderTarget, image: TargetImage) -> None:
+    def fill(self, target: RenderTarget, image: TargetImage, blurred: Bools | None = None) -> None:
         """Fills the holes of an image.
 
         Args:
             target: target with the image and the feature ``NORMALS``, without multisampling.
             image: the image to fill.
+            blurred: (H, W), the pixels whose colours are an average with those of holes; None = the colours are not an average.
 
         Raises:
             ConfigError: the network cannot be run.
@@ -56,18 +60,26 @@ class HoleFilling:
             return
         raw_normals = self._read(target, image, "NORMALS")
         hole = hole_of(raw_normals)
-        if camera.fill == "push_pull" and not is_hole(hole).any():
+        in_colours = is_hole(hole) if blurred is None else is_hole(hole) | blurred
+        if camera.fill == "push_pull" and not in_colours.any():
             return
         raw_color, raw_depth = self._read(target, image, "color"), self._read(target, image, "depth")
         depth, normals = depth_of(raw_depth, camera.near, camera.far), normals_of(raw_normals)
         colour = np.asarray(cv2.cvtColor(raw_color, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
-        blended = camera.samples > 1 or camera.projection != "pinhole" or bool(camera.distortion)
-        filled = filler.fill(colour, depth, normals, _dilate(hole) if blended else hole, with_depth=with_depth)
+        holes = hole.copy()
+        if camera.projection != "pinhole" or camera.distortion:
+            holes[outside_of(raw_normals)] = OUTSIDE
+        filled_depth = None
         if colours:
+            marked = np.where(in_colours & (holes == SURFACE), np.uint8(NOTHING), holes)
+            filled = _filled(filler, camera, colour, depth, normals, marked, with_depth=with_depth and blurred is None)
+            filled_depth = filled.depth
             raw_color[:, :, :3] = filled.colour
             self._write(target, image, "color", raw_color)
-        if filled.depth is not None:
-            np.divide(np.float32(camera.near), filled.depth, out=raw_depth, where=is_hole(hole))
+        if with_depth and filled_depth is None:  # depth is never an average
+            filled_depth = _filled(filler, camera, colour, depth, normals, holes, with_depth=True).depth
+        if filled_depth is not None:
+            np.divide(np.float32(camera.near), filled_depth, out=raw_depth, where=is_hole(hole))
             self._write(target, image, "depth", raw_depth)
 
     def _read(self, target: RenderTarget, image: TargetImage, name: str) -> NDArray[Any]:
@@ -86,6 +98,19 @@ class HoleFilling:
         gl.glTextureSubImage2D(
             target.textures[name], 0, image.x, image.y, camera.width, camera.height, raw.gl_format, raw.gl_type, pixels.ctypes.data
         )  # fmt: skip
+
+
+def _filled(filler: Filler, camera: CameraSpec, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
+    """Returns the filled image of a camera; for the other arguments see ``Filler.fill``."""
+    # A panorama is a full turn: what is beyond its left edge is at its right edge.
+    turn = camera.width // 2 if camera.projection == "equirectangular" else 0
+    if turn:
+        colour, normals = (np.pad(values, ((0, 0), (turn, turn), (0, 0)), mode="wrap") for values in (colour, normals))
+        depth, hole = (np.pad(values, ((0, 0), (turn, turn)), mode="wrap") for values in (depth, hole))
+    blended = camera.samples > 1 or camera.projection != "pinhole" or bool(camera.distortion)
+    filled = filler.fill(colour, depth, normals, _dilate(hole) if blended else hole, with_depth=with_depth)
+    inner = slice(turn, turn + camera.width)
+    return Filled(filled.colour[:, inner], None if filled.depth is None else filled.depth[:, inner])
 
 
 def _dilate(hole: U8) -> U8:

@@ -236,6 +236,11 @@ def _hole_loop(raw: U16) -> NDArray[np.uint8]:
     return out
 
 
+def outside_of(raw: U16) -> NDArray[np.bool_]:
+    """Returns the mask, (H, W), of the pixels outside the field of view of the lens; for the argument see ``hole_of``."""
+    return np.asarray((raw[:, :, 3] == 0) & (raw[:, :, 0] != 0) & (raw[:, :, 1] == 0))
+
+
 def positions_of(rays: F32, depth: F32, R: F32, t: F32, *, loops: bool = CAN_COMPILE) -> F32:
     """Returns the world positions of pixels, (H, W, 3), metres, float32, summed from left to right; NaN = nothing.
 

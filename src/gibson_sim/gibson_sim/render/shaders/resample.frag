@@ -120,7 +120,7 @@ void main() {
     out_label = valid ? texelFetch(u_labels, texel, 0).rg : uvec2(0);
 #endif
 #ifdef NORMALS
-    vec4 normal = valid ? texelFetch(u_normals, texel, 0) : vec4(1.0, 1.0, 1.0, 0.0);  // outside the field of view: not a hole
+    vec4 normal = valid ? texelFetch(u_normals, texel, 0) : vec4(1.0, 0.0, 1.0, 0.0);  // outside the field of view: not a hole, and not sky
     out_normal = normal.a > 0.0 ? vec4(0.5 + 0.5 * (u_turn[tile] * (2.0 * normal.rgb - 1.0)), normal.a) : normal;
 #endif
 #ifdef FLOW
