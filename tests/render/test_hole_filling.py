@@ -154,3 +154,17 @@ def test_pictures_with_a_shutter_are_filled() -> None:
         filled, plain = (made.render(now, [one], before)[0] for one in (camera, replace(camera, fill="")))
     assert np.array_equal(filled.hole, plain.hole) and (plain.hole == 1).any()
     assert (plain.rgb[32, 10:54].max(axis=1) == 0).any() and (filled.rgb[32, 10:54].max(axis=1) > 0).all()
+
+
+def test_blur_does_not_bring_the_background_into_the_image() -> None:
+    camera = replace(FILLED, link="a", fill_depth=True, effects=ImageEffects(shutter_s=0.1))
+    now, before = (state(("a",), [(0.0, y, 0.0)], stamp_ns=stamp) for y, stamp in ((0.4, 100_000_000), (0.0, 0)))
+    blue = replace(scene(LEFT, replace(RIGHT, color=RED), links=("a",)), light=replace(scene().light, background=(0.0, 0.0, 1.0)))
+    with Renderer(blue) as made:
+        filled, plain, still = (
+            made.render(now, [one], before)[0]
+            for one in (camera, replace(camera, fill="", fill_depth=False), replace(camera, effects=ImageEffects()))
+        )
+    assert (plain.rgb[32, 10:54, 2] > 50).sum() > 8 and not filled.rgb[32, 10:54, 2].any(), "walls and gap are pure red"
+    for output in ("depth", "hole", "semantic", "normal"):
+        assert np.array_equal(getattr(filled, output), getattr(still, output)), output

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.physics.engine import pybullet
 from gibson_sim.render.cache import default_folder
@@ -124,9 +125,9 @@ def timed_hole_filling(finish: Callable[[], None]) -> Iterator[Clock]:
     with calls_of(HoleFilling, "fill") as clock:
         timed = HoleFilling.fill
 
-        def fill(self: HoleFilling, target: RenderTarget, image: TargetImage) -> None:
+        def fill(self: HoleFilling, target: RenderTarget, image: TargetImage, blurred: NDArray[np.bool_] | None = None) -> None:
             finish()
-            timed(self, target, image)
+            timed(self, target, image, blurred)
 
         HoleFilling.fill = fill  # type: ignore[method-assign]
         yield clock

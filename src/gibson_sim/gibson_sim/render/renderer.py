@@ -360,8 +360,8 @@ class Renderer:
             self._fill_holes(target, image)
         if average or changes:
             self._effects.apply(camera, image.stamp_ns, target, image.x, image.y, average=average)
-        if average:
-            self._fill_holes(target, image)
+        if average and camera.fill:
+            self._filling().fill(target, image, self._effects.averaged_holes())
 
     def _fill_holes(self, target: RenderTarget, image: TargetImage) -> None:
         if image.camera.fill:

@@ -12,6 +12,7 @@ from typing import Any
 
 import moderngl
 import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.errors import RenderError
 from gibson_sim.geometry.transforms import Mat3
@@ -139,7 +140,7 @@ class EffectsPass:
             self._average = _Average(self._context, width, height)
         self._average.clear()
 
-    def add(self, color: int, rows: slice, weight: float, first: int | None = None) -> None:
+    def add(self, color: int, rows: slice, weight: float, first: int | None = None, normals: int | None = None) -> None:
         """Adds rows of a picture to the average.
 
         Args:
@@ -147,10 +148,17 @@ class EffectsPass:
             rows: rows of the image; start and stop are given.
             weight: weight of the picture; the weights of a row sum to 1.
             first: row of the texture with the first of these rows; None = ``rows.start``.
+            normals: OpenGL name of the picture's normals, which mark its holes for ``averaged_holes``; None = no holes.
         """
         if self._average is None:
             raise RenderError("averaging has not begun; call begin first")
-        self._average.add(color, rows, weight, rows.start if first is None else first)
+        self._average.add(color, rows, weight, rows.start if first is None else first, normals)
+
+    def averaged_holes(self) -> NDArray[np.bool_]:
+        """Returns the mask, (H, W), of the pixels that are holes in at least one picture of the average."""
+        if self._average is None:
+            raise RenderError("averaging has not begun; call begin first")
+        return self._average.holes()
 
     def run(
         self, camera: CameraSpec, stamp_ns: int, color: int | None, out: RenderTarget, origin: tuple[int, int] = (0, 0)
@@ -216,6 +224,7 @@ class _Average:
         self._texture: moderngl.Texture = gl.texture((width, height), 4, dtype="f4")
         self._framebuffer = gl.framebuffer([self._texture])
         self._program = gl.program(vertex_shader=FULL_SCREEN, fragment_shader=shader_text("accumulate.frag"))
+        self._program["u_color"], self._program["u_normals"] = 0, 1
         self._array = gl.vertex_array(self._program, [])
 
     @property
@@ -227,7 +236,11 @@ class _Average:
         """Sets the sum to 0."""
         self._framebuffer.clear()
 
-    def add(self, color: int, rows: slice, weight: float, first: int) -> None:
+    def holes(self) -> NDArray[np.bool_]:
+        sums = np.frombuffer(self._texture.read(), dtype=np.float32).reshape(self.height, self.width, 4)
+        return np.asarray(sums[:, :, 3] > 0.0)
+
+    def add(self, color: int, rows: slice, weight: float, first: int, normals: int | None) -> None:
         gl = self._gl
         self._framebuffer.use()
         for state in (GL.DEPTH_TEST, GL.CULL_FACE):
@@ -236,8 +249,10 @@ class _Average:
             gl.glEnable(state)
         gl.glBlendFunc(GL.ONE, GL.ONE)
         gl.glScissor(0, rows.start, self.width, rows.stop - rows.start)
-        gl.glBindSampler(0, 0)
-        gl.glBindTextureUnit(0, color)
+        for unit, texture in enumerate((color, color if normals is None else normals)):
+            gl.glBindSampler(unit, 0)
+            gl.glBindTextureUnit(unit, texture)
+        self._program["u_marks_holes"] = normals is not None
         self._program["u_weight"] = weight
         self._program["u_shift"] = first - rows.start
         self._array.render(GL.TRIANGLES, 3)

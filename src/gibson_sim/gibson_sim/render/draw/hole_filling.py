@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from gibson_sim.types import CameraSpec
 Bools = NDArray[np.bool_]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
+Value = TypeVar("Value", np.uint8, np.float32)
 _NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
 
@@ -105,12 +106,21 @@ def _filled(filler: Filler, camera: CameraSpec, colour: U8, depth: F32, normals:
     # A panorama is a full turn: what is beyond its left edge is at its right edge.
     turn = camera.width // 2 if camera.projection == "equirectangular" else 0
     if turn:
-        colour, normals = (np.pad(values, ((0, 0), (turn, turn), (0, 0)), mode="wrap") for values in (colour, normals))
-        depth, hole = (np.pad(values, ((0, 0), (turn, turn)), mode="wrap") for values in (depth, hole))
+        colour, depth, normals, hole = (
+            _wrapped(colour, turn),
+            _wrapped(depth, turn),
+            _wrapped(normals, turn),
+            _wrapped(hole, turn),
+        )
     blended = camera.samples > 1 or camera.projection != "pinhole" or bool(camera.distortion)
     filled = filler.fill(colour, depth, normals, _dilate(hole) if blended else hole, with_depth=with_depth)
     inner = slice(turn, turn + camera.width)
     return Filled(filled.colour[:, inner], None if filled.depth is None else filled.depth[:, inner])
+
+
+def _wrapped(values: NDArray[Value], columns: int) -> NDArray[Value]:
+    """Returns an image (H, W) or (H, W, C) with columns of its right edge added at its left, and of its left edge at its right."""
+    return np.concatenate([values[:, -columns:], values, values[:, :columns]], axis=1)
 
 
 def _dilate(hole: U8) -> U8:

@@ -49,13 +49,15 @@ class Shutter:
         # Non-pinhole cameras draw the whole image for each exposure: a lookup table for each band of rows would take longer.
         in_bands = is_plain(camera)
         height = max(e.rows.stop - e.rows.start for e in plan) if in_bands else camera.height
+        colours: tuple[Feature, ...] = ("NORMALS",) if camera.fill else ()
         for exposure in plan:
             rows = exposure.rows
-            picture = self._target(camera.width, height, target.features if exposure.geometry else ())
+            picture = self._target(camera.width, height, target.features if exposure.geometry else colours)
             draw(picture, rows_of(camera, rows) if in_bands else camera, exposure.state)
             first = 0 if in_bands else rows.start
             if averaged:
-                self._effects.add(picture.textures["color"], rows, exposure.weight, first)
+                normals = picture.textures["NORMALS"] if camera.fill else None  # they mark holes
+                self._effects.add(picture.textures["color"], rows, exposure.weight, first, normals)
             if exposure.geometry:
                 rectangle = (0, first, camera.width, rows.stop - rows.start)
                 copy_image(self._context, picture, target, tuple(target.textures), rectangle, (x, y + rows.start))
