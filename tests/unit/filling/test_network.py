@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling import fillers, onnx_files
-from gibson_sim.filling.fillers import Filled, PushPull, open_filler
+from gibson_sim.filling.fillers import LEARNED, Filled, PushPull, network_digests, open_filler
 from support import onnx_bytes as ox
 from support.filler_networks import generator, our_network, pipeline
 
@@ -102,3 +103,15 @@ def test_learned_is_the_file_in_the_package(tmp_path: Path, monkeypatch: pytest.
         open_filler("learned")
     (tmp_path / "filler.onnx").write_bytes(our_network())
     assert open_filler("learned").fill(COLOUR, DEPTH, NORMALS, HOLE, with_depth=False).colour.shape == COLOUR.shape
+
+
+def test_a_changed_file_of_a_network_has_another_digest(tmp_path: Path) -> None:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(b"one")
+    fills = ("", "push_pull", "learned", str(file))
+    expected = {"learned": hashlib.sha256(LEARNED.read_bytes()).hexdigest(), str(file): hashlib.sha256(b"one").hexdigest()}
+    assert network_digests(fills) == expected
+    file.write_bytes(b"two")
+    assert network_digests(fills)[str(file)] == hashlib.sha256(b"two").hexdigest()
+    file.unlink()
+    assert network_digests(fills)[str(file)] == ""

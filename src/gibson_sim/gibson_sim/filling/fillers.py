@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -12,7 +14,9 @@ from numpy.typing import NDArray
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling.holes import is_hole
 from gibson_sim.filling.inputs import filled_colour
+from gibson_sim.filling.onnx_files import MAX_BYTES
 from gibson_sim.filling.push_pull import push_pull_depth
+from gibson_sim.reading import read_file
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -72,4 +76,20 @@ def open_filler(fill: str) -> Filler:
     # onnxruntime takes half a second to import, so it is only imported if needed.
     from gibson_sim.filling.network import open_network
 
-    return open_network(LEARNED if fill == "learned" else Path(fill))
+    return open_network(_file_of(fill))
+
+
+def network_digests(fills: Iterable[str]) -> dict[str, str]:
+    """Returns the SHA-256 of the files of the networks among values of ``CameraSpec.fill``; empty if a file cannot be read."""
+    return {fill: _sha256(_file_of(fill)) for fill in fills if fill not in ("", "push_pull")}
+
+
+def _file_of(fill: str) -> Path:
+    return LEARNED if fill == "learned" else Path(fill)
+
+
+def _sha256(file: Path) -> str:
+    try:
+        return hashlib.sha256(read_file(file, MAX_BYTES)).hexdigest()
+    except OSError:
+        return ""

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from gibson_msgs.msg import Scene, SceneState
 from gibson_sim.config import RenderConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.filling.fillers import network_digests
 from gibson_sim.geometry.exposures import needs_previous
 from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.processes.job_folder import STATUS, note_in_job
@@ -157,7 +158,9 @@ class RenderNode(Node):
                 return
             self._state_subscription = self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
             self._lockstep = LockstepParticipant(self, after=CAMERAS)
-            self._run_info = publish_run_info(self, "render", self._config, 0, opengl=dict(info))
+            digests = network_digests(publisher.camera.fill for publisher in self._cameras.values())
+            networks = {f"network {fill}": digest for fill, digest in digests.items()}
+            self._run_info = publish_run_info(self, "render", self._config, 0, opengl=dict(info), **networks)
 
     def _report_loading(self, stage: str) -> None:
         note_in_job(STATUS.format(self.get_name()), json.dumps({"loading": stage}))
