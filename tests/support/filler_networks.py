@@ -14,8 +14,10 @@ def _channels(first: int, last: int, output: str) -> tuple[bytes, dict[str, np.n
     return ox.node("Slice", ["input", *names], output), dict(zip(names, values, strict=True))
 
 
-def our_network(channels: int = 9, depth: bool = False, version: str = "1", nan: bool = False, size: int | None = None) -> bytes:
-    """Returns a network of our kind whose picture is its input's, and whose inverse depth is 0.5 more than its input's."""
+def our_network(
+    channels: int = 9, depth: bool = False, version: str = "1", nan: bool = False, size: int | None = None, offset: float = 0.5
+) -> bytes:
+    """Returns a network of our kind whose picture is its input's, and whose inverse depth is its input's plus ``offset``."""
     cut, tensors = _channels(0, 3, "cut" if nan else "image")
     nodes, outputs = [cut], [ox.value("image", "float32", [1, 3, "h", "w"])]
     if nan:
@@ -23,8 +25,8 @@ def our_network(channels: int = 9, depth: bool = False, version: str = "1", nan:
         tensors["two"] = np.float32(2.0)
     if depth:
         cut, more = _channels(3, 4, "inverse")
-        nodes += [cut, ox.node("Add", ["inverse", "half"], "inverse_depth")]
-        tensors = {**tensors, **more, "half": np.float32(0.5)}
+        nodes += [cut, ox.node("Add", ["inverse", "offset"], "inverse_depth")]
+        tensors = {**tensors, **more, "offset": np.float32(offset)}
         outputs.append(ox.value("inverse_depth", "float32", [1, 1, "h", "w"]))
     made = ox.model(nodes, [ox.value("input", "float32", [1, channels, size or "h", size or "w"])], outputs, tensors)
     return made + ox.message(14, ox.message(1, "gibson_filler") + ox.message(2, version))

@@ -548,7 +548,7 @@ class Simulation:
             outputs: one or several of ``gibson_sim.OUTPUTS``; None = those of the camera's spec.
             previous: an earlier state, which ``flow`` and motion blur of cameras with a shutter need.
             fill: method that fills holes of the colours: ``push_pull``, ``learned`` or the path of an ONNX file, with ``,depth`` of depth,
-                too; ``none``; None = as the camera's spec has it.
+                too; ``none`` or an empty string; None = as the camera's spec has it.
 
         Returns:
             The frame. Row 0 is the top; H, W are the camera's. ``rgb`` (H, W, 3) uint8, sRGB. ``depth`` (H, W) float32, metres along the

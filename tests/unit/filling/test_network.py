@@ -44,6 +44,12 @@ def test_depth_of_our_network_is_used_in_holes_alone(tmp_path: Path) -> None:
     assert fill(tmp_path, our_network(depth=True)).depth is None
 
 
+def test_negative_inverse_depth_of_a_network_is_not_used(tmp_path: Path) -> None:
+    found = fill(tmp_path, our_network(depth=True, offset=-0.1), with_depth=True)
+    # 0 - 0.1 where nothing is drawn, 1 / 4 - 0.1 at a back face.
+    assert np.allclose(found.depth[HOLE == 1], 4.0) and np.allclose(found.depth[HOLE == 2], 1.0 / 0.15)
+
+
 @pytest.mark.parametrize(("content", "painted"), [(pipeline(), 7), (generator(), 0)])
 def test_networks_of_others_paint_holes_alone(tmp_path: Path, content: bytes, painted: int) -> None:
     found = fill(tmp_path, content, with_depth=True)
@@ -67,7 +73,7 @@ def _external() -> bytes:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", r"network\.onnx is empty; export it again"),
+        (b"", r"network\.onnx is empty, or holds only zeros; export it again"),
         (b"GIF89a and so on", r"network\.onnx is not an ONNX file, or is truncated"),
         (our_network()[:-60], r"network\.onnx is not an ONNX file, or is truncated"),
         (_external(), r"network\.onnx has its weights in other files, which are not read"),

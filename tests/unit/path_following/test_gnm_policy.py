@@ -239,7 +239,7 @@ def _texts() -> bytes:
     ("content", "words"),
     [
         (_texts(), r"network\.onnx: an output holds texts, maps or sequences, must be an array of numbers; export it again"),
-        (b"", r"network\.onnx is empty; export it again"),
+        (b"", r"network\.onnx is empty, or holds only zeros; export it again"),
         (b"GIF89a and so on", r"network\.onnx is not an ONNX file, or is truncated"),
         (goal_network()[:-200], r"network\.onnx is not an ONNX file, or is truncated"),
         (_with_external_data("/etc/hostname"), r"network\.onnx has its weights in other files, which are not read"),

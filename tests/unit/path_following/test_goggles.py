@@ -107,7 +107,7 @@ def _with_external_data() -> bytes:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", r"is empty; export it again"),
+        (b"", r"is empty, or holds only zeros; export it again"),
         (b"GIF89a and so on", r"is not an ONNX file, or is truncated"),
         (network()[:-40], r"is not an ONNX file, or is truncated"),
         (_with_external_data(), r"has its weights in other files, which are not read"),

@@ -47,7 +47,7 @@ def open_session(file: Path) -> Any:
         ) from error
     content = _content(file)
     if not content.strip(b"\0"):
-        raise ModelError(f"{file} is empty; export it again")
+        raise ModelError(f"{file} is empty, or holds only zeros; export it again")
     try:
         external = _has_external_data(memoryview(content), "model", 0)
     except (ValueError, IndexError) as error:

@@ -25,7 +25,7 @@ MULTIPLE = 16
 VERSION = "1"
 """Value of ``gibson_filler`` in the metadata of a file: the version of the input format."""
 _LEAST_INVERSE = np.float32(1e-3)
-"""Smaller inverse depths are clamped to this one, 1/m."""
+"""Smaller inverse depths, negative ones among them, are not used, 1/m: push-pull fills these pixels."""
 _CONTRACTS = (
     f"ours, float input (1, {CHANNELS}, H, W) and float output (1, 3, H, W); MI-GAN's pipeline, image (1, 3, H, W) and mask (1, 1, H, W), uint8; or "
     "its generator, (1, 4, R, R) to (1, 3, R, R): see docs/filler.md"
@@ -111,7 +111,10 @@ class GibsonNetwork:
         if not self._has_depth:
             return Filled(out, push_pull_depth(depth, is_hole(hole)))
         inverse = _planes(outputs[1], self._file, (1, 1, *values.shape[2:]))[0, 0, :height, :width]
-        return Filled(out, np.where(is_hole(hole), np.float32(1.0) / np.maximum(inverse, _LEAST_INVERSE), depth))
+        holes, usable = is_hole(hole), inverse > _LEAST_INVERSE
+        filled = depth.copy() if usable[holes].all() else push_pull_depth(depth, holes)
+        np.divide(np.float32(1.0), inverse, out=filled, where=holes & usable)
+        return Filled(out, filled)
 
 
 class MiGanPipeline:

@@ -52,7 +52,7 @@ def open_session(file: Path) -> Any:
     except OSError as error:
         raise ConfigError(f"cannot read '{clipped(str(file), 200)}': {error.strerror or error}; give an ONNX file") from error
     if not content.strip(b"\0"):
-        raise ConfigError(f"{file} is empty; export it again")
+        raise ConfigError(f"{file} is empty, or holds only zeros; export it again")
     try:
         external = _has_external_data(memoryview(content), "model", 0)
     except (ValueError, IndexError) as error:

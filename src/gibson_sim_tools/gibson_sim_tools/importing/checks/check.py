@@ -306,7 +306,9 @@ def _views(
     holes = robot_view_holes(scene, geometry, np.repeat(scans, [mesh.triangle_count for _, mesh in geometry.meshes]), maps)
     if holes is None or holes.share < MIN_VIEW_HOLES:
         return
-    remedy = "scan the missing parts, or close the holes in a mesh editor" if any(scans) else ""
+    remedy = (
+        "scan the missing parts, close the holes in a mesh editor, or fill them in images (--camera-fill)" if any(scans) else ""
+    )
     level: Level = "warning" if any(scans) and holes.share > VIEW_HOLES_WARNING else "note"
     yield SceneFinding("view-holes", level, holes.text(), remedy, amount=holes.share)
 
