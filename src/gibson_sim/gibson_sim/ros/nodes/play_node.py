@@ -161,9 +161,11 @@ class BagPlayer(Node):
             )
             for topic, number in required.items()
         ]
-        if not all(condition.is_met() for condition in conditions):
-            while is_running() and not all(condition.is_met() for condition in conditions):
-                time.sleep(_POLL_S)
+        has_waited = False
+        while is_running() and not all(condition.is_met() for condition in conditions):
+            has_waited = True
+            time.sleep(_POLL_S)
+        if has_waited:
             self._wait_for_discovery()  # of the other subscriptions of nodes that have just started
         start = time.monotonic()
         while is_running() and time.monotonic() - start < LATE_DISCOVERY_S:
