@@ -24,6 +24,8 @@ from gibson_sim.ros.topics import qos  # noqa: E402
 from gibson_sim_bench.browser import chromium, chromium_path  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.egl]
+START_X = 1.0
+"""Where the robot starts, m."""
 DESKTOP, PHONE = {"width": 1360, "height": 820}, {"width": 390, "height": 844}
 
 
@@ -50,7 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def simulation(ros_domain: int, folder: Path) -> Iterator[Launched]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)  # recordings of the page are below it
-        launched = Launched("run", "--web-port", "0", "--start", "1.0,4.7,0")
+        launched = Launched("run", "--web-port", "0", "--start", f"{START_X},4.7,0")
     launched.wait_for_line("look: http://")
     yield launched
     launched.stop()
@@ -274,7 +276,8 @@ def test_a_number_of_any_topic_is_plotted(page: Any) -> None:
     page.click("#plots-toggle")
 
 
-def test_a_drawer_is_opened_and_closed(page: Any) -> None:
+def test_a_drawer_is_opened_and_closed(page: Any, listener: Listener) -> None:
+    _reset(page, listener)
     page.wait_for_function("document.querySelector('#catalogue').options.length > 10")
     page.select_option("#catalogue", label="cabinet_drawers")
     page.click("[data-mode=spawn]")
@@ -291,7 +294,8 @@ def test_a_drawer_is_opened_and_closed(page: Any) -> None:
         page.wait_for_timeout(300)
 
 
-def test_a_thing_is_selected_on_the_map(page: Any) -> None:
+def test_a_thing_is_selected_on_the_map(page: Any, listener: Listener) -> None:
+    _reset(page, listener)
     page.select_option("#catalogue", label="mug")
     page.click("[data-mode=spawn]")
     place = _pixel(page, 1.9, 4.3)
@@ -358,6 +362,13 @@ def test_the_estimate_of_a_localiser_is_an_ellipse(page: Any, listener: Listener
     publisher.publish(message)
     page.wait_for_function(f"({count})() > {before} + 20")
     listener.node.destroy_publisher(publisher)
+
+
+def _reset(page: Any, listener: Listener) -> None:
+    """Brings the robot back to its start: where the tests before have left it, it may block what this one does."""
+    truth = Truth(listener)
+    page.click("#reset")
+    truth.wait_for(lambda: truth.stands and abs(truth.x - START_X) < 0.01, "robot at its start")
 
 
 def _pixel(page: Any, x: float, y: float) -> dict[str, float]:

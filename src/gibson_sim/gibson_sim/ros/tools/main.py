@@ -27,13 +27,14 @@ from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
 from gibson_sim.ros.nodes.wait_for_simulation import start_hint
 from gibson_sim.ros.tools.hints import check_name, missing_service, no_simulation, simulation_runs, suggestion, type_and_values
 from gibson_sim.ros.tools.yaml_messages import field_of, fill, value_text, yaml_text
+from gibson_sim.ros.topics.discovery import DISCOVERY_S
 from gibson_sim.ros.topics.silence import SilenceNotice
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.settings import nearest
 from gibson_sim.types import NS_PER_S
 
-DISCOVERY_S = 1.5
-"""Time in which the nodes of a domain are normally discovered, s of wall time."""
+USUAL_DISCOVERY_S = 1.5
+"""Time in which the nodes of a domain are usually discovered, s of wall time; if no packet is lost, see ``DISCOVERY_S``."""
 _LATE_DISCOVERY_S = 15.0
 """Timeout for discovery on a busy machine, where the announcement of a participant may be lost and repeated seconds later, s of wall time."""
 PATIENCE_S = 5.0
@@ -84,8 +85,9 @@ class Tool(Node):
         return condition()
 
     def discover(self) -> None:
-        """Spins until the nodes of the domain are discovered: for ``DISCOVERY_S``, and longer if a simulation is discovered in part."""
-        self.spin_until(DISCOVERY_S)
+        """Spins until the nodes of the domain are discovered: longer without a simulation, and longest if one is discovered in part."""
+        self.spin_until(USUAL_DISCOVERY_S)
+        self.spin_until(DISCOVERY_S - USUAL_DISCOVERY_S, lambda: simulation_runs(self.offered_services()))
         names = *self.get_node_names(), *self.known_services()
         if any(name.lstrip("/").startswith("physics") for name in names) and not simulation_runs(self.offered_services()):
             self.spin_until(_LATE_DISCOVERY_S, lambda: simulation_runs(self.offered_services()))
@@ -293,7 +295,7 @@ def topic_bw(tool: Tool, topic: str, seconds: float = 0.0) -> int:
 def topic_delay(tool: Tool, topic: str, seconds: float = 0.0) -> int:
     """Prints the delay of the messages of a topic against their stamps, in simulation time if there is a /clock."""
     clock: list[tuple[int, int]] = []
-    if tool.spin_until(DISCOVERY_S, lambda: "/clock" in tool.known_topics()):
+    if tool.spin_until(USUAL_DISCOVERY_S, lambda: "/clock" in tool.known_topics()):
         tool.subscribe("/clock", lambda data: clock.__setitem__(slice(None), [(stamp_ns(data), time.monotonic_ns())]), raw=True)
     delays: deque[float] = deque(maxlen=_WINDOW)
     name, kind = tool.type_of(topic)
