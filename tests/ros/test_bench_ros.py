@@ -34,16 +34,15 @@ TINY = RosPlan(
 )
 
 
-@pytest.mark.parametrize(
-    ("executor", "form"), [("standard", "message"), ("events", "bytes"), ("wait set", "message"), ("wait set", "bytes")]
-)
-def test_every_round_trip_is_counted_whichever_way_it_goes(ros_domain: int, executor: str, form: str) -> None:
-    plan = RosPlan(("state",), bodies=3, round_trips=10, methods=(RoundTripMethod(executor, form),))
+def test_every_round_trip_is_counted_whichever_way_it_goes(ros_domain: int) -> None:
+    ways = (("standard", "message"), ("events", "bytes"), ("wait set", "message"), ("wait set", "bytes"))
+    plan = RosPlan(("state",), bodies=3, round_trips=10, methods=tuple(RoundTripMethod(*way) for way in ways))
     report = measure(plan)
     assert report.left_out == ()
-    (trip,) = report.round_trips
-    assert (trip.executor, trip.form, trip.bodies, trip.count) == (executor, form, 3, 10)
-    assert 0.0 < trip.us.median <= trip.us.p95 <= trip.us.p99
+    assert [(trip.executor, trip.form) for trip in report.round_trips] == list(ways)
+    for trip in report.round_trips:
+        assert (trip.bodies, trip.count) == (3, 10)
+        assert 0.0 < trip.us.median <= trip.us.p95 <= trip.us.p99
 
 
 def test_images_are_counted_once_and_have_an_age(ros_domain: int) -> None:

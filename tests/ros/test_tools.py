@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -39,12 +41,20 @@ def _run(*words: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
+def _run_together(*commands: str) -> list[tuple[int, str]]:
+    """Returns the same for several commands that do not depend on each other: each mostly waits for discovery."""
+    with ThreadPoolExecutor(len(commands)) as pool:
+        return list(pool.map(lambda command: _run(*shlex.split(command)), commands))
+
+
 def test_topics_are_listed_described_and_echoed() -> None:
-    assert {"/odom", "/scan", "/clock"} <= set(_run("topic", "list")[1].split())
-    assert "/odom [nav_msgs/msg/Odometry]\n" in _run("topic", "list", "-t")[1]
-    assert _run("topic", "info", "odom") == (0, "Type: nav_msgs/msg/Odometry\nPublisher count: 1\nSubscription count: 0\n")
-    code, text = _run("topic", "echo", "--once", "--field", "header.frame_id", "/odom")
-    assert (code, text) == (0, "odom\n---\n")
+    names, with_types, info, echo = _run_together(
+        "topic list", "topic list -t", "topic info odom", "topic echo --once --field header.frame_id /scan"
+    )
+    assert {"/odom", "/scan", "/clock"} <= set(names[1].split())
+    assert "/odom [nav_msgs/msg/Odometry]\n" in with_types[1]
+    assert info == (0, "Type: nav_msgs/msg/Odometry\nPublisher count: 1\nSubscription count: 0\n")
+    assert echo == (0, "base_scan\n---\n")
 
 
 def test_latched_topics_are_echoed_to_who_comes_late() -> None:
@@ -53,12 +63,13 @@ def test_latched_topics_are_echoed_to_who_comes_late() -> None:
 
 
 def test_rate_bandwidth_and_delay_are_measured() -> None:
-    code, text = _run("topic", "hz", "/odom", "--seconds", "2")
-    assert code == 0 and re.search(r"average rate: \d+\.\d{3}\n\tmin: \d", text)
-    assert re.search(r"KB/s from \d+ messages\n\tMessage size mean: ", _run("topic", "bw", "/scan", "--seconds", "2")[1])
-    assert "average delay: " in _run("topic", "delay", "/odom", "--seconds", "2")[1]
-    code, text = _run("topic", "delay", "/clock", "--seconds", "1")
-    assert code == 1 and "have no header" in text
+    rate, bandwidth, delay, without = _run_together(
+        "topic hz /odom --seconds 2", "topic bw /scan --seconds 2", "topic delay /odom --seconds 2", "topic delay /clock --seconds 1"
+    )
+    assert rate[0] == 0 and re.search(r"average rate: \d+\.\d{3}\n\tmin: \d", rate[1])
+    assert re.search(r"KB/s from \d+ messages\n\tMessage size mean: ", bandwidth[1])
+    assert "average delay: " in delay[1]
+    assert without[0] == 1 and "have no header" in without[1]
 
 
 def test_a_name_that_does_not_exist_is_one_line_with_the_nearest() -> None:
@@ -67,30 +78,35 @@ def test_a_name_that_does_not_exist_is_one_line_with_the_nearest() -> None:
 
 
 def test_services_are_listed_and_called() -> None:
-    assert "/spawn_entity [simulation_interfaces/srv/SpawnEntity]\n" in _run("service", "list", "-t")[1]
-    assert _run("service", "type", "/get_entities")[1] == "simulation_interfaces/srv/GetEntities\n"
-    code, text = _run("service", "call", "/get_entities")
-    assert code == 0 and "response:\n" in text and "- robot\n" in text
-    code, text = _run("service", "call", "/delete_entity", "simulation_interfaces/srv/DeleteEntity", "{entity: nothing}")
-    assert code == 1 and "'nothing'" in text
-    for words in (("", "{entty: x}"), ("{entty: x}",)):
-        assert "did you mean 'entity'?" in _run("service", "call", "/delete_entity", *words)[1]
+    names, kind, entities, missing, *misspelt = _run_together(
+        "service list -t",
+        "service type /get_entities",
+        "service call /get_entities",
+        "service call /delete_entity simulation_interfaces/srv/DeleteEntity '{entity: nothing}'",
+        "service call /delete_entity '' '{entty: x}'",
+        "service call /delete_entity '{entty: x}'",
+    )
+    assert "/spawn_entity [simulation_interfaces/srv/SpawnEntity]\n" in names[1]
+    assert kind[1] == "simulation_interfaces/srv/GetEntities\n"
+    assert entities[0] == 0 and "response:\n" in entities[1] and "- robot\n" in entities[1]
+    assert missing[0] == 1 and "'nothing'" in missing[1]
+    assert all("did you mean 'entity'?" in text for _, text in misspelt)
 
 
 def test_parameters_are_read_and_changed() -> None:
-    assert "  rate\n" in _run("param", "list", "/physics")[1]
     assert _run("param", "set", "/physics", "rate", "2")[1] == "Set parameter successful\n"
-    assert _run("param", "get", "/physics", "rate")[1] == "Double value is: 2.0\n"
-    code, text = _run("param", "set", "/physics", "rate", "fast")
-    assert code == 1 and "must be a value of type double" in text
-    code, text = _run("param", "set", "/physics", "step_hz", "1000")
-    assert code == 1 and "Setting parameter failed" in text
-    code, text = _run("param", "set", "/physics", "step_hx", "1000")
-    assert (code, text) == (1, "error: node /physics has no parameter 'step_hx'; did you mean 'step_hz'?\n")
-    code, text = _run("param", "get", "/physics", "jpeg_quality")
-    assert code == 1 and text.startswith("error: node /physics has no parameter 'jpeg_quality'; ")
+    names, value, mistyped, fixed, misspelt, foreign, stranger = _run_together(
+        "param list /physics", "param get /physics rate", "param set /physics rate fast", "param set /physics step_hz 1000",
+        "param set /physics step_hx 1000", "param get /physics jpeg_quality", "param get physic rate",
+    )  # fmt: skip
+    assert "  rate\n" in names[1]
+    assert value[1] == "Double value is: 2.0\n"
+    assert mistyped[0] == 1 and "must be a value of type double" in mistyped[1]
+    assert fixed[0] == 1 and "Setting parameter failed" in fixed[1]
+    assert misspelt == (1, "error: node /physics has no parameter 'step_hx'; did you mean 'step_hz'?\n")
+    assert foreign[0] == 1 and foreign[1].startswith("error: node /physics has no parameter 'jpeg_quality'; ")
+    assert stranger == (1, "error: node '/physic' does not exist; did you mean '/physics'?\n")
     _run("param", "set", "/physics", "rate", "1.0")
-    assert _run("param", "get", "physic", "rate") == (1, "error: node '/physic' does not exist; did you mean '/physics'?\n")
 
 
 def test_an_action_makes_steps() -> None:

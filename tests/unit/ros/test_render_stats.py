@@ -33,6 +33,16 @@ def test_a_camera_is_charged_with_its_own_skipped_images_alone() -> None:
     assert stats.summary()["skipped_by_camera"] == {"eye": 3, "view": 0}
 
 
+def test_images_that_could_not_be_rendered_are_not_skipped() -> None:
+    stats = RenderStats()
+    _draw(stats, 1)
+    stats.count_due(CAMERA, 2 * TENTH_NS, subscribed=True)
+    stats.count_failed(CAMERA)
+    _draw(stats, 3)
+    summary = stats.summary()
+    assert (summary["images"], summary["failed_images"], summary["skipped_images"]) == ({"eye": 2}, {"eye": 1}, 0)
+
+
 def test_images_without_subscribers_are_not_skipped() -> None:
     stats = RenderStats()
     _draw(stats, 1)

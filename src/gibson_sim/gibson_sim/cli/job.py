@@ -283,7 +283,7 @@ def _summary_lines(reports: dict[str, dict[str, Any]], restarts: int) -> list[st
             f"real-time factor {p['real_time_factor']:.3f}, {p['commands']} commands, {p['refused_commands']} refused"
         )
     if r := reports["render"]:
-        if not r["images"]:
+        if not r["images"] and not r["failed_images"]:
             lines.append("render: no image topic had a subscriber, so no image was rendered")
         for name, count in r["images"].items():
             lines.append(
@@ -291,6 +291,10 @@ def _summary_lines(reports: dict[str, dict[str, Any]], restarts: int) -> list[st
                 f"{r['images_per_simulated_s'][name]:.1f}/s of simulation time, {r['skipped_by_camera'][name]} skipped, "
                 f"{r['draw_ms_median']:.1f} ms to render, {r['publish_ms_median']:.1f} ms to publish (medians), on {r['renderer']}"
             )
+        lines += [
+            f"render: camera {name}, {count} images could not be rendered: see the warnings"
+            for name, count in r["failed_images"].items()
+        ]
     if restarts:
         lines.append(f"render: restarted {restarts} times")
     if b := reports["record"]:

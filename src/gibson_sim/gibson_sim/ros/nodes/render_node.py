@@ -323,6 +323,9 @@ class RenderNode(Node):
                 messages = self._publish(dict(zip(specs, frames, strict=True)), subscribed, state)
         except GibsonSimError as error:
             self.get_logger().warning(f"state at {stamp_ns} ns is not drawn: {error}", throttle_duration_sec=1.0)
+            for i in specs.keys() & set(msg.due_cameras):
+                self._stats.count_due(self._cameras[i].camera, stamp_ns, subscribed=True)
+                self._stats.count_failed(self._cameras[i].camera)
             return None
         for i, kinds in subscribed.items():
             if kinds:

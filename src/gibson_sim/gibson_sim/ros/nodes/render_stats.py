@@ -28,6 +28,7 @@ class RenderStats:
         self._skipped: dict[str, int] = {}
         self.last_stamp_ns = 0
         self._images: dict[str, int] = {}
+        self._failed: dict[str, int] = {}
         self._outputs: dict[str, int] = {}
         self._messages: dict[str, int] = {}
         self._stamps: dict[str, int] = {}
@@ -65,6 +66,10 @@ class RenderStats:
         self._publish_ms.append((published_ns - drawn_ns) / 1e6)
         self._last_ns, self.last_stamp_ns = published_ns, stamp_ns
 
+    def count_failed(self, camera: CameraSpec) -> None:
+        """Counts an image that could not be rendered."""
+        self._failed[camera.name] = self._failed.get(camera.name, 0) + 1
+
     @property
     def skipped(self) -> int:
         """Number of images of all cameras that were due and not rendered."""
@@ -92,6 +97,7 @@ class RenderStats:
         wall_s, sim_s = (self._last_ns - self._first_ns) / NS_PER_S, self._simulated_ns / NS_PER_S
         return {
             "images": dict(self._images),
+            "failed_images": dict(self._failed),
             "outputs": dict(self._outputs),
             "messages": dict(self._messages),
             "images_per_wall_s": {k: (n - 1) / wall_s if wall_s else 0.0 for k, n in self._images.items()},
