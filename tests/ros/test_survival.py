@@ -151,7 +151,9 @@ def test_bag_is_whole_when_physics_is_killed(start: Callable[..., Launched], lis
         recorded = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections)]
     steps = [step_of(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec) for m in recorded]
     missing = sorted(set(range(4, steps[-1] + 1, 4)) - set(steps))
-    lost = json.loads(summary.read_text())["record"]["lost"]["/odom"]  # in real time a machine that stalls may lose some: they are counted
+    lost = json.loads(summary.read_text())["record"]["lost"][
+        "/odom"
+    ]  # in real time a machine that stalls may lose some: they are counted
     assert len(missing) == lost and steps == sorted(set(steps)), f"{lost} reported as lost, missing: {missing}"
     # A publisher hands each reader its own copy, one after the other: SIGKILL may come between the listener's and the recorder's.
     assert steps[-1] >= last - 4, (

@@ -64,7 +64,10 @@ def test_latched_topics_are_echoed_to_who_comes_late() -> None:
 
 def test_rate_bandwidth_and_delay_are_measured() -> None:
     rate, bandwidth, delay, without = _run_together(
-        "topic hz /odom --seconds 2", "topic bw /scan --seconds 2", "topic delay /odom --seconds 2", "topic delay /clock --seconds 1"
+        "topic hz /odom --seconds 2",
+        "topic bw /scan --seconds 2",
+        "topic delay /odom --seconds 2",
+        "topic delay /clock --seconds 1",
     )
     assert rate[0] == 0 and re.search(r"average rate: \d+\.\d{3}\n\tmin: \d", rate[1])
     assert re.search(r"KB/s from \d+ messages\n\tMessage size mean: ", bandwidth[1])
