@@ -5,7 +5,8 @@
 A scene is scanned in two resolutions (preset kinect, 200 images, with errors of exposure, white balance and pose), and fused to 100,000
 triangles. A tenth of the photographs is held out. Compared are vertex colours, the best view of each triangle (no smoothness, no corrections,
 no levelling) and ``scene texture``. In the smaller scan a figure is then inserted into a tenth of the photographs, and their depth images are
-left out. ``--real`` is a folder of posed RGB-D, such as "livingroom1" of the augmented ICL-NUIM set. Scans and meshes stay in ``--folder``; a
+left out. ``--real`` is a folder of posed RGB-D, such as "livingroom1" of the augmented ICL-NUIM set: every second image textures the mesh of
+all images, and that of these images alone. Scans and meshes stay in ``--folder``; a
 second run uses them again. Needs Open3D.
 """
 
@@ -54,6 +55,8 @@ SCENE, FRAMES, TRIANGLES = "courtyard_flat", 200, 100_000
 ERRORS = "--exposure-jitter-ev 0.3 --white-balance-jitter 0.06 --pose-noise-m 0.003 --pose-noise-deg 0.3 --drift-m 0 --drift-deg 0 --seed 1"
 SIZES = {(640, 480): 0.015, (320, 240): 0.02}
 """Width and height of the photographs, pixels -> voxel size of the mesh, metres."""
+REAL_STRIDES = (1, 2)
+"""Meshes of real images are fused from every N-th."""
 HOLD_OUT = 10
 """Every tenth photograph is held out, from the first."""
 BEST_VIEW = TextureSettings(smoothness=0.0, poses=False, exposures=False, outliers=False, levelling="none")
@@ -118,8 +121,10 @@ def main() -> None:
     found["person"] = with_a_person(args.folder, args.images)
     show("person", found["person"])
     if args.real is not None:
-        found["real"] = on_real_images(args.folder, args.real)
-        show("real", found["real"])
+        for stride in REAL_STRIDES:
+            name = f"real, stride {stride}"
+            found[name] = on_real_images(args.folder, args.real, stride)
+            show(name, found[name])
     if args.json is not None:
         write_json(args.json, found)
 
@@ -358,13 +363,15 @@ def with_a_person(folder: Path, images: Path | None) -> dict[str, Any]:
             **shown,
             "removed": round(1.0 - shown["default"] / shown["outliers kept"], 3),
         }
-    if images is not None:
+    if images is not None:  # of the two photographs whose figures appear most
+        kept = textures["outliers kept"]
+        appears = {k: int(shows(kept, {k: masks[k]}).sum()) for k in numbers}
         rows = [
             np.concatenate([
                 crowd.image(k) / np.float32(255.0),
                 *(render_textured(t, crowd.intrinsics(k), t.photographs.items[k].T_world_camera).rgb for t in textures.values()),
             ], axis=1)
-            for k in numbers[4:14:5]
+            for k in sorted(numbers, key=lambda number: -appears[number])[:2]
         ]  # fmt: skip
         write(images / "texturing_person.jpg", np.concatenate(rows).astype(np.float32))
     return results
@@ -390,11 +397,11 @@ def in_mask(surface: Surface, faces: NDArray[np.integer], photographs: Photograp
 # Real images
 
 
-def on_real_images(folder: Path, real: Path) -> dict[str, Any]:
-    """Returns the results of textures on real images: every second one textures, a tenth of these is held out."""
-    mesh = folder / "mesh_real.ply"
+def on_real_images(folder: Path, real: Path, stride: int) -> dict[str, Any]:
+    """Returns the results of textures on real images: every second one textures a mesh of every ``stride``-th, a tenth of these is held out."""
+    mesh = folder / f"mesh_real_{stride}.ply"
     if not mesh.exists():
-        command("fuse", str(real), "--triangles", str(TRIANGLES), "--output", str(mesh))
+        command("fuse", str(real), "--triangles", str(TRIANGLES), "--stride", str(stride), "--output", str(mesh))
     surface = surface_from_mesh(load_mesh(mesh, [mesh.parent]))
     photographs = open_photographs(real)
     photographs = photographs.subset(range(0, len(photographs), 2))
