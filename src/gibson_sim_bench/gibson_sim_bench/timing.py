@@ -111,7 +111,7 @@ def load() -> float:
 
 def version() -> str:
     """Returns the version; in a checkout with the commit, and ``+`` if tracked files are modified."""
-    here = Path(__file__).resolve().parents[1]
+    here = Path(__file__).resolve().parent
     if not _git(here, "ls-files", "__init__.py"):
         return __version__
     commit = _git(here, "rev-parse", "--short=12", "HEAD")

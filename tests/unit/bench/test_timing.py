@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -36,3 +38,11 @@ def test_the_machine_is_described_without_its_folders_and_names() -> None:
     assert "/home" not in text
     assert socket.gethostname() not in text
     assert timing.cores() >= 1
+
+
+def test_the_version_in_a_checkout_names_its_commit(root: Path) -> None:
+    commit = subprocess.run(["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=False)
+    if commit.returncode:
+        assert "(" not in timing.version()
+    else:
+        assert f"({commit.stdout.strip()}" in timing.version()
