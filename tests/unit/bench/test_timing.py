@@ -41,7 +41,9 @@ def test_the_machine_is_described_without_its_folders_and_names() -> None:
 
 
 def test_the_version_in_a_checkout_names_its_commit(root: Path) -> None:
-    commit = subprocess.run(["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=False)
+    commit = subprocess.run(
+        ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=False
+    )
     if commit.returncode:
         assert "(" not in timing.version()
     else:
