@@ -282,4 +282,5 @@ def test_a_page_that_is_killed_ends_no_simulation(listener: Listener) -> None:
     launched.wait_for_line("the simulation goes on without its page")
     clock.clear()
     listener.spin_until(lambda: stamp_ns(clock[-1]) > stamp_ns(clock[0]) + NS_PER_S if clock else False, "time that goes on")
+    assert launched.process.poll() is None
     assert launched.stop() == 0

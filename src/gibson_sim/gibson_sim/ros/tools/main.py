@@ -87,9 +87,9 @@ class Tool(Node):
     def discover(self) -> None:
         """Spins until the nodes of the domain are discovered: longer without a simulation, and longest if one is discovered in part."""
         self.spin_until(USUAL_DISCOVERY_S)
-        self.spin_until(DISCOVERY_S - USUAL_DISCOVERY_S, lambda: simulation_runs(self.offered_services()))
+        runs = self.spin_until(DISCOVERY_S - USUAL_DISCOVERY_S, lambda: simulation_runs(self.offered_services()))
         names = *self.get_node_names(), *self.known_services()
-        if any(name.lstrip("/").startswith("physics") for name in names) and not simulation_runs(self.offered_services()):
+        if not runs and any(name.lstrip("/").startswith("physics") for name in names):
             self.spin_until(_LATE_DISCOVERY_S, lambda: simulation_runs(self.offered_services()))
             self.spin_until(_MORE_TYPES_S)
 
