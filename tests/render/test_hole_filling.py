@@ -21,7 +21,7 @@ from support.filler_networks import our_network, pipeline
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 
-RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)
+RED, GREEN, BLUE = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
 LEFT, RIGHT = box((2.001, 1.25, 0.0), RED, (0.002, 2.0, 6.0)), box((2.001, -1.25, 0.0), GREEN, (0.002, 2.0, 6.0))
 """A wall 2 m ahead with a gap of 0.5 m in the middle: 32 * 0.25 / 2 = 4 pixels on each side of column 31.5."""
 FILLED = replace(EYE, outputs=OUTPUTS, fill="push_pull")
@@ -145,6 +145,39 @@ def test_depth_by_a_network_does_not_depend_on_the_other_outputs(renderer: Rende
     assert np.allclose(every.depth[every.hole == 1], 2.0, atol=1e-5)
     assert np.array_equal(_see(renderer, replace(camera, outputs=("depth",))).depth, every.depth)
     assert np.array_equal(every.rgb, _see(renderer, FILLED).rgb), "this network returns what push-pull made"
+
+
+@pytest.mark.parametrize("kind", ["push_pull", "network"])
+def test_moving_links_keep_their_colours_and_fill_no_hole(kind: str, tmp_path: Path) -> None:
+    network = tmp_path / "network.onnx"
+    network.write_bytes(our_network(gain=0.5))
+    fill = "push_pull" if kind == "push_pull" else str(network)
+    arm = box(
+        (1.5, 0.0, 0.0), BLUE, (0.002, 0.25, 6.0), link="arm"
+    )  # 4 of the 8 columns of the gap, and 1 on either side at 1.5 m
+    with Renderer(scene(LEFT, replace(RIGHT, color=RED), arm, links=("arm",))) as made:
+        plain, filled = (
+            made.render(state(("arm",), [(0.0, 0.0, 0.0)]), [replace(FILLED, fill=method, fill_depth=bool(method))])[0]
+            for method in ("", fill)
+        )
+    is_arm, holes = plain.rgb[:, :, 2] > 0, plain.hole == 1
+    assert is_arm[32].any() and holes[32].any() and (plain.hole[is_arm] == 0).all()
+    assert np.array_equal(filled.rgb[is_arm], plain.rgb[is_arm]), "an arm is no part of the scan"
+    assert not filled.rgb[holes][:, 2].any(), "the gap is as red as the wall, and not blue"
+    assert np.allclose(filled.depth[32][holes[32]], 2.0, atol=1e-5), "the gap is as far as the wall"
+    if kind == "network":
+        assert np.abs(filled.rgb[32, 10].astype(int) - plain.rgb[32, 10] // 2).max() <= 1, "the wall is corrected"
+
+
+def test_buffers_of_images_before_a_failure_are_used_again(tmp_path: Path) -> None:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(our_network(nan=True))
+    first = replace(FILLED, name="first", width=48)  # of another size, so it is drawn first, into a target of its own
+    with Renderer(scene(LEFT, RIGHT)) as made:
+        for _ in range(3):
+            with pytest.raises(ConfigError, match=r"holes of camera 'eye', 64x64, are not filled: .*NaN"):
+                made.start(state(), [first, replace(FILLED, fill=str(file))])
+        assert not made._pixel_buffers._pending and len(made._pixel_buffers._free) <= 2
 
 
 def test_pictures_with_a_shutter_are_filled() -> None:

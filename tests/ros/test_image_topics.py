@@ -17,7 +17,7 @@ from support.simulation import PATIENCE_S, require, wait_until
 require("rclpy", "gibson_msgs")
 
 import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
@@ -40,6 +40,7 @@ from gibson_sim.scenes.spec import DrawnScene, LightSpec, SplatsSpec  # noqa: E4
 from gibson_sim.sensors.image_codecs import encode_color  # noqa: E402
 from gibson_sim.types import OUTPUTS, CameraSpec, Pose, SceneState as State, Vec3  # noqa: E402
 from render.drawing import AHEAD  # noqa: E402
+from support.filler_networks import network_that_fails_with_holes  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.egl]
 
@@ -138,18 +139,20 @@ class Rig:
     def spin(self) -> None:
         self._executor.spin_once(timeout_sec=0.02)
 
-    def spin_until(self, condition: Callable[[], bool], what: str, *, ticking: bool = False) -> None:
+    def spin_until(
+        self, condition: Callable[[], bool], what: str, *, ticking: bool = False, positions: dict[str, Vec3] | None = None
+    ) -> None:
         def done() -> bool:
             if ticking:
-                self.tick()
+                self.tick(positions)
             for _ in range(3):
                 self.spin()
             return condition()
 
         wait_until(done, what)
 
-    def tick_until(self, condition: Callable[[], bool], what: str) -> None:
-        self.spin_until(condition, what, ticking=True)
+    def tick_until(self, condition: Callable[[], bool], what: str, positions: dict[str, Vec3] | None = None) -> None:
+        self.spin_until(condition, what, ticking=True, positions=positions)
 
     def drawn_after(self, ticks: int) -> dict[str, Any]:
         """Returns the summary of the first render node after some more ticks, seen by it for sure."""
@@ -325,6 +328,39 @@ def test_a_camera_whose_holes_cannot_be_filled_ends_the_node_with_one_line(rig: 
     rig.load(_scene(replace(EYE, fill=str(network))), ready=False)
     rig.spin_until(lambda: render._failure is not None, "the failure")
     with pytest.raises(ConfigError, match=r"network\.onnx is not an ONNX file, or is truncated"):
+        render.spin()
+
+
+def test_a_network_that_fails_at_a_later_image_costs_the_images_of_its_camera_alone(rig: Rig, tmp_path: Path) -> None:
+    network = tmp_path / "network.onnx"
+    network.write_bytes(network_that_fails_with_holes(0.25))
+    lid = _box("lid", (2.1, -1.0, 0.0), BLUE, link="lid")  # closes the right half while its link is at the origin
+    closed, away = {"lid": (0.0, 0.0, 0.0)}, {"lid": (0.0, 100.0, 0.0)}
+    render = rig.render()
+    rig.load(_scene(EYE, replace(EYE, name="filled", outputs=("rgb",), fill=str(network)), visuals=(WALL, lid)))
+    reports = rig.collect(DiagnosticArray, "/diagnostics")
+    images, infos = rig.collect(Image, "eye/image_raw"), rig.collect(CameraInfo, "filled/camera_info")
+    filled = rig.collect(Image, "filled/image_raw")
+    rig.tick_until(lambda: len(images) >= 2 and len(filled) >= 2, "images of both", positions=closed)
+    last = rig.stamp_ns
+    rig.tick_until(lambda: len([m for m in images if _stamp(m) > last]) >= 5, "images of the other camera", positions=away)
+    assert not [m for m in (*filled, *infos) if _stamp(m) > last], "an image that failed has neither image nor camera info"
+    rig.tick_until(
+        lambda: any(m.status[0].level == DiagnosticStatus.ERROR for m in reports), "a report of failed images", positions=away
+    )
+    count, last = len(filled), rig.stamp_ns
+    rig.tick_until(lambda: len(filled) >= count + 2, "images of both again", positions=closed)
+    summary = render.summary()
+    assert summary["failed_images"]["filled"] >= 5 and "eye" not in summary["failed_images"]
+
+
+def test_a_network_that_fails_at_the_first_image_ends_the_node_and_names_camera_and_size(rig: Rig, tmp_path: Path) -> None:
+    network = tmp_path / "network.onnx"
+    network.write_bytes(network_that_fails_with_holes(0.25))
+    render = rig.render()
+    rig.load(_scene(EYE, replace(EYE, name="filled", fill=str(network))), ready=False)
+    rig.spin_until(lambda: render._failure is not None, "the failure")
+    with pytest.raises(ConfigError, match=r"^holes of camera 'filled', 64x48, are not filled: .*network\.onnx.*NaN"):
         render.spin()
 
 

@@ -15,11 +15,14 @@ def _channels(first: int, last: int, output: str) -> tuple[bytes, dict[str, np.n
 
 
 def our_network(
-    channels: int = 9, depth: bool = False, version: str = "1", nan: bool = False, size: int | None = None, offset: float = 0.5
-) -> bytes:
-    """Returns a network of our kind whose picture is its input's, and whose inverse depth is its input's plus ``offset``."""
-    cut, tensors = _channels(0, 3, "cut" if nan else "image")
+    channels: int = 9, depth: bool = False, version: str = "1", nan: bool = False, size: int | None = None, offset: float = 0.5,
+    gain: float = 1.0,
+) -> bytes:  # fmt: skip
+    """Returns a network of our kind whose picture is its input's times ``gain``, and whose inverse depth is its input's plus ``offset``."""
+    cut, tensors = _channels(0, 3, "cut")
     nodes, outputs = [cut], [ox.value("image", "float32", [1, 3, "h", "w"])]
+    if not nan:
+        nodes, tensors = [*nodes, ox.node("Mul", ["cut", "gain"], "image")], {**tensors, "gain": np.float32(gain)}
     if nan:
         nodes += [ox.node("Sub", ["cut", "two"], "below"), ox.node("Sqrt", ["below"], "image")]
         tensors["two"] = np.float32(2.0)
@@ -30,6 +33,17 @@ def our_network(
         outputs.append(ox.value("inverse_depth", "float32", [1, 1, "h", "w"]))
     made = ox.model(nodes, [ox.value("input", "float32", [1, channels, size or "h", size or "w"])], outputs, tensors)
     return made + ox.message(14, ox.message(1, "gibson_filler") + ox.message(2, version))
+
+
+def network_that_fails_with_holes(share: float) -> bytes:
+    """Returns a network of our kind whose picture is its input's, and NaN where holes are more than a share of the picture."""
+    (picture, tensors), (holes, more) = _channels(0, 3, "picture"), _channels(7, 8, "holes")
+    nodes = [
+        picture, holes, ox.node("ReduceMean", ["holes"], "mean", keepdims=1), ox.node("Sub", ["share", "mean"], "left"),
+        ox.node("Sqrt", ["left"], "root"), ox.node("Mul", ["root", "zero"], "nothing"), ox.node("Add", ["picture", "nothing"], "image"),
+    ]  # fmt: skip
+    inputs, outputs = (ox.value(name, "float32", [1, channels, "h", "w"]) for name, channels in (("input", 9), ("image", 3)))
+    return ox.model(nodes, [inputs], [outputs], {**tensors, **more, "share": np.float32(share), "zero": np.float32(0.0)})
 
 
 def pipeline() -> bytes:

@@ -76,6 +76,11 @@ def test_line_tells_what_loads_until_all_is_ready(folder: Path) -> None:
     [
         ({}, {"images_per_s": 29.7, "skipped": 3}, "12.3 s, real-time factor 0.99, 30 images/s, 3 skipped"),
         ({}, {"images_per_s": 0.0, "skipped": 0}, "12.3 s, real-time factor 0.99, images: no subscriber"),
+        (
+            {},
+            {"images_per_s": 0.0, "skipped": 0, "failed": 30},
+            "12.3 s, real-time factor 0.99, 0 images/s, 0 skipped, 30 failed",
+        ),
         ({"state": "paused"}, {"images_per_s": 1.0, "skipped": 0}, "12.3 s, paused, 1 images/s, 0 skipped"),
         ({}, {"loading": "textures: 7 %"}, "12.3 s, real-time factor 0.99, render loads: textures: 7 %"),
         (

@@ -43,6 +43,16 @@ def test_images_that_could_not_be_rendered_are_not_skipped() -> None:
     assert (summary["images"], summary["failed_images"], summary["skipped_images"]) == ({"eye": 2}, {"eye": 1}, 0)
 
 
+def test_reports_count_failed_images_also_of_a_camera_without_any_other() -> None:
+    stats = RenderStats()
+    for expected in (1, 0):
+        for _ in range(expected):
+            stats.count_due(CAMERA, TENTH_NS, subscribed=True)
+            stats.count_failed(CAMERA)
+        assert stats.since_last_report()["failed"] == expected
+    assert stats.summary()["skipped_by_camera"] == {"eye": 0}
+
+
 def test_images_without_subscribers_are_not_skipped() -> None:
     stats = RenderStats()
     _draw(stats, 1)

@@ -223,6 +223,10 @@ class JobRun:
         found = self.found = {name: values for name, values in read.items() if values or name in ("physics", "render", "record")}
         for line in _summary_lines(found, self._restarts.total):
             say(line)
+        render = found["render"]
+        if render and (without := [name for name in render["failed_images"] if name not in render["images"]]):
+            say(f"error: no image of {', '.join(without)} could be rendered: see the warnings")
+            self._code = self._code or ExitCode.ERROR
         self._attempt(lambda: write_json(self._job.summary, {**found, "render_restarts": self._restarts.total}))
         if self._job.video and found["record"].get("messages"):
             self._attempt(self._write_pictures)
@@ -283,7 +287,8 @@ def _summary_lines(reports: dict[str, dict[str, Any]], restarts: int) -> list[st
             f"real-time factor {p['real_time_factor']:.3f}, {p['commands']} commands, {p['refused_commands']} refused"
         )
     if r := reports["render"]:
-        if not r["images"] and not r["failed_images"]:
+        has_begun = not p or p["simulation_time_s"] > 0.0  # otherwise no image was due
+        if has_begun and not r["images"] and not r["failed_images"]:
             lines.append("render: no image topic had a subscriber, so no image was rendered")
         for name, count in r["images"].items():
             lines.append(

@@ -81,8 +81,9 @@ class JobStatus:
         parts.append(f"real-time factor {p['real_time_factor']:.2f}" if p["state"] == "playing" else p["state"])
         if r.get("loading"):
             parts.append(f"render loads: {r['loading']}")
-        elif r.get("images_per_s"):
+        elif r.get("images_per_s") or r.get("failed"):
             parts += [f"{r['images_per_s']:.0f} images/s", f"{r['skipped']:.0f} skipped"]
+            parts += [f"{r['failed']:.0f} failed"] if r.get("failed") else []
         elif r:
             parts.append("images: no subscriber")
         if waits := p.get("waits_for"):

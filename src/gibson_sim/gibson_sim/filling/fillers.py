@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.filling.holes import is_hole
+from gibson_sim.filling.holes import SURFACE, is_hole
 from gibson_sim.filling.inputs import filled_colour
 from gibson_sim.filling.onnx_files import MAX_BYTES
 from gibson_sim.filling.push_pull import push_pull_depth
@@ -44,7 +44,7 @@ class Filler(Protocol):
             colour: (H, W, 3), sRGB, as rendered.
             depth: (H, W), metres, +inf = nothing.
             normals: (H, W, 3), optical frame, facing the camera, 0 = nothing.
-            hole: (H, W), as ``Frame.hole``, but ``OUTSIDE`` outside the lens.
+            hole: (H, W), as ``Frame.hole``, but ``OUTSIDE`` outside the lens and ``MOVING`` on moving links.
             with_depth: also fill depth.
 
         Raises:
@@ -57,7 +57,7 @@ class PushPull:
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
         """See ``Filler``."""
-        return Filled(filled_colour(colour, hole), push_pull_depth(depth, is_hole(hole)) if with_depth else None)
+        return Filled(filled_colour(colour, hole), push_pull_depth(depth, is_hole(hole), hole == SURFACE) if with_depth else None)
 
 
 def open_filler(fill: str) -> Filler:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling.fillers import Filled
-from gibson_sim.filling.holes import NOTHING, OUTSIDE, SURFACE, UNSEEN, is_hole
+from gibson_sim.filling.holes import MOVING, NOTHING, OUTSIDE, SURFACE, UNSEEN, is_hole
 from gibson_sim.filling.inputs import CHANNELS, filled_colour, packed
 from gibson_sim.filling.onnx_files import open_session, run
 from gibson_sim.filling.push_pull import push_pull_depth
@@ -87,7 +87,7 @@ def _named_sizes(sizes: tuple[Any, ...]) -> tuple[str, ...]:
 
 
 class GibsonNetwork:
-    """Our network: corrects the whole image, and also fills depth if it has a second output."""
+    """Our network: corrects all that is scanned, and also fills depth if it has a second output."""
 
     def __init__(self, file: Path, session: Any) -> None:
         self._file, self._session = file, session
@@ -105,14 +105,14 @@ class GibsonNetwork:
         outputs = run(self._session, self._file, {self._name: values})
         image = _planes(outputs[0], self._file, (1, 3, *values.shape[2:]))[0, :, :height, :width]
         out = _bytes(image)
-        np.copyto(out, colour, where=((hole == UNSEEN) | (hole == OUTSIDE))[:, :, None])
+        np.copyto(out, colour, where=((hole == UNSEEN) | (hole == OUTSIDE) | (hole == MOVING))[:, :, None])
         if not with_depth:
             return Filled(out)
         if not self._has_depth:
-            return Filled(out, push_pull_depth(depth, is_hole(hole)))
+            return Filled(out, push_pull_depth(depth, is_hole(hole), hole == SURFACE))
         inverse = _planes(outputs[1], self._file, (1, 1, *values.shape[2:]))[0, 0, :height, :width]
         holes, usable = is_hole(hole), inverse > _LEAST_INVERSE
-        filled = depth.copy() if usable[holes].all() else push_pull_depth(depth, holes)
+        filled = depth.copy() if usable[holes].all() else push_pull_depth(depth, holes, hole == SURFACE)
         np.divide(np.float32(1.0), inverse, out=filled, where=holes & usable)
         return Filled(out, filled)
 
@@ -149,7 +149,7 @@ class MiGanGenerator:
         size = (self._side, self._side)
 
         def inpainted() -> U8:
-            known = cv2.resize((hole == SURFACE).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+            known = cv2.resize(((hole == SURFACE) | (hole == MOVING)).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
             small = cv2.resize(colour, size, interpolation=cv2.INTER_LINEAR).astype(np.float32) / 127.5 - 1.0
             values = np.concatenate([known[None] - 0.5, small.transpose(2, 0, 1) * known]).astype(np.float32)[None]
             image = _planes(run(self._session, self._file, {self._name: values})[0], self._file, (1, 3, *size))[0]
@@ -163,7 +163,7 @@ def _compose(inpainted: Callable[[], U8], colour: U8, depth: F32, hole: U8, *, w
     """Returns an image with its holes inpainted and other pixels unchanged; a copy if there are no holes."""
     holes = is_hole(hole)
     out = np.where(holes[:, :, None], inpainted(), colour) if holes.any() else colour.copy()
-    return Filled(out, push_pull_depth(depth, holes) if with_depth else None)
+    return Filled(out, push_pull_depth(depth, holes, hole == SURFACE) if with_depth else None)
 
 
 def _bytes(image: F32) -> U8:

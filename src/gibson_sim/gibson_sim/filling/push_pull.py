@@ -40,14 +40,15 @@ def push_pull(values: NDArray[Value], hole: Bools, known: Bools | None = None) -
     return out
 
 
-def push_pull_depth(depth: F32, hole: Bools) -> F32:
+def push_pull_depth(depth: F32, hole: Bools, known: Bools | None = None) -> F32:
     """Returns a copy of a depth image with its holes filled; planes stay planes, since inverse depth is linear in the image of a plane.
 
     Args:
         depth: (H, W), metres, above 0, +inf or NaN = nothing.
-        hole: (H, W), the pixels to fill, from all others that have a depth.
+        hole: (H, W), the pixels to fill.
+        known: (H, W), the pixels to fill them from, as far as they have a depth, none of them in a hole; None = all others.
     """
-    known = ~hole & np.isfinite(depth)
+    known = (~hole if known is None else known) & np.isfinite(depth)
     inverse = np.zeros_like(depth)
     np.divide(np.float32(1.0), depth, out=inverse, where=known)
     inverse = push_pull(inverse, hole, known)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.config import DETAIL_PX
-from gibson_sim.errors import ConfigError, RenderError, SceneError, SceneMismatchError
+from gibson_sim.errors import ConfigError, GibsonSimError, RenderError, SceneError, SceneMismatchError
 from gibson_sim.formats.file_roots import is_inside
 from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
 from gibson_sim.formats.splats import load_splats
@@ -232,8 +232,12 @@ class Renderer:
         reads = []
         buffers, context = self._pixel_buffers, self.context
         assert buffers is not None
-        for target, images, numbers in self.drawn(state, cameras, previous):
-            reads.append((buffers.start(target, needed(target, images)), images, numbers))
+        try:
+            for target, images, numbers in self.drawn(state, cameras, previous):
+                reads.append((buffers.start(target, needed(target, images)), images, numbers))
+        except GibsonSimError:
+            PendingFrames(context, buffers, reads).discard()
+            raise
         return PendingFrames(context, buffers, reads)
 
     def render_tensors(

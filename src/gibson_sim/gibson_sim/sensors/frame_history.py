@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.exposures import needs_previous
 from gibson_sim.render.readback.pixel_buffers import PendingFrames
 from gibson_sim.render.renderer import Renderer
@@ -47,10 +48,14 @@ class FrameHistory:
             if previous is not None and previous.stamp_ns >= state.stamp_ns:
                 previous = None  # time has jumped backwards, so there is no motion between the two
             by_previous.setdefault(id(previous), (previous, []))[1].append(number)
-        parts = [
-            (self._renderer.start(state, [cameras[number] for number in numbers], previous), numbers)
-            for previous, numbers in by_previous.values()
-        ]
+        parts: list[tuple[PendingFrames, Sequence[int]]] = []
+        try:
+            for previous, numbers in by_previous.values():
+                parts.append((self._renderer.start(state, [cameras[number] for number in numbers], previous), numbers))
+        except GibsonSimError:
+            for pending, _ in parts:
+                pending.discard()
+            raise
         self.note(state, cameras)
         return PendingFrameSet(parts)
 

@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.errors import ConfigError
 from gibson_sim.filling.fillers import Filled, Filler, open_filler
-from gibson_sim.filling.holes import NOTHING, OUTSIDE, SURFACE, is_hole
+from gibson_sim.filling.holes import MOVING, NOTHING, OUTSIDE, SURFACE, is_hole
+from gibson_sim.quoting import quoted
 from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.draw.target import ATTACHMENT, RenderTarget
-from gibson_sim.render.readback.frames import RAW_FORMATS, TargetImage, depth_of, hole_of, normals_of, outside_of
+from gibson_sim.render.readback.frames import RAW_FORMATS, TargetImage, depth_of, hole_of, moving_of, normals_of, outside_of
 from gibson_sim.types import CameraSpec
 
 Bools = NDArray[np.bool_]
@@ -52,8 +54,17 @@ class HoleFilling:
             blurred: (H, W), the pixels whose colours are an average with those of holes; None = the colours are not an average.
 
         Raises:
-            ConfigError: the network cannot be run.
+            ConfigError: the network cannot be run; names the camera.
         """
+        try:
+            self._fill(target, image, blurred)
+        except ConfigError as error:
+            camera = image.camera
+            raise ConfigError(
+                f"holes of camera {quoted(camera.name)}, {camera.width}x{camera.height}, are not filled: {error}"
+            ) from error
+
+    def _fill(self, target: RenderTarget, image: TargetImage, blurred: Bools | None) -> None:
         camera = image.camera
         filler, colours = self.prepare(camera.fill), "rgb" in camera.outputs
         with_depth = camera.fill_depth and bool({"depth", "position"} & set(camera.outputs))
@@ -68,11 +79,12 @@ class HoleFilling:
         depth, normals = depth_of(raw_depth, camera.near, camera.far), normals_of(raw_normals)
         colour = np.asarray(cv2.cvtColor(raw_color, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
         holes = hole.copy()
+        holes[moving_of(raw_normals)] = MOVING
         if camera.projection != "pinhole" or camera.distortion:
             holes[outside_of(raw_normals)] = OUTSIDE
         filled_depth = None
         if colours:
-            marked = np.where(in_colours & (holes == SURFACE), np.uint8(NOTHING), holes)
+            marked = np.where(in_colours & _is_surface(holes), np.uint8(NOTHING), holes)
             filled = _filled(filler, camera, colour, depth, normals, marked, with_depth=with_depth and blurred is None)
             filled_depth = filled.depth
             raw_color[:, :, :3] = filled.colour
@@ -126,6 +138,11 @@ def _wrapped(values: NDArray[Value], columns: int) -> NDArray[Value]:
 def _dilate(hole: U8) -> U8:
     """Returns a hole image with holes dilated by one pixel: colours of these pixels are partly blended with the background."""
     out = hole.copy()
-    rim = (cv2.dilate(is_hole(hole).astype(np.uint8), _NEIGHBOURS) != 0) & (hole == SURFACE)
+    rim = (cv2.dilate(is_hole(hole).astype(np.uint8), _NEIGHBOURS) != 0) & _is_surface(hole)
     out[rim] = NOTHING
     return out
+
+
+def _is_surface(hole: U8) -> Bools:
+    """Returns the mask of the surfaces in a hole image (H, W) for fillers."""
+    return np.asarray((hole == SURFACE) | (hole == MOVING))

@@ -31,6 +31,8 @@ UNIT = np.float32(2.0 / 65535.0)
 _ONE = np.float32(1.0)
 BACK_BELOW = 49152
 """Alpha of normals, of 65535, below which a pixel shows the back of a surface; 0 = no surface."""
+MOVING_BELOW = 61440
+"""Alpha of normals, of 65535, from ``BACK_BELOW`` up to which a pixel shows a moving link."""
 _MAX_ARRAYS = 64
 
 
@@ -239,6 +241,12 @@ def _hole_loop(raw: U16) -> NDArray[np.uint8]:
 def outside_of(raw: U16) -> NDArray[np.bool_]:
     """Returns the mask, (H, W), of the pixels outside the field of view of the lens; for the argument see ``hole_of``."""
     return np.asarray((raw[:, :, 3] == 0) & (raw[:, :, 0] != 0) & (raw[:, :, 1] == 0))
+
+
+def moving_of(raw: U16) -> NDArray[np.bool_]:
+    """Returns the mask, (H, W), of the pixels that show a moving link; for the argument see ``hole_of``."""
+    side = raw[:, :, 3]
+    return np.asarray((side >= BACK_BELOW) & (side < MOVING_BELOW))
 
 
 def positions_of(rays: F32, depth: F32, R: F32, t: F32, *, loops: bool = CAN_COMPILE) -> F32:

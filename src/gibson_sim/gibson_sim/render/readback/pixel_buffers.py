@@ -152,6 +152,11 @@ class PixelBuffers:
         with self._mapped(request) as raw:
             return [frame_from_raw(image, raw) for image in images]
 
+    def discard(self, request: ReadRequest) -> None:
+        """Gives up the images of a request and frees its buffer for later ones."""
+        self._retire(request)
+        self._free.append(request.buffer)
+
     @contextmanager
     def _mapped(self, request: ReadRequest) -> Iterator[dict[str, NDArray[Any]]]:
         """Waits for the images and yields them in the mapped buffer; the request is finished."""
@@ -240,6 +245,12 @@ class PendingFrames:
                 frames.update(zip(numbers, self._buffers.frames(request, images), strict=True))
             self._frames = [frames[k] for k in sorted(frames)]
         return self._frames
+
+    def discard(self) -> None:
+        """Gives up the frames, which are not read."""
+        for request, _, _ in self._reads:
+            self._buffers.discard(request)
+        self._reads, self._frames = (), []
 
 
 def _layout(names: Sequence[str], width: int, height: int) -> tuple[tuple[tuple[str, int, tuple[int, ...]], ...], int]:

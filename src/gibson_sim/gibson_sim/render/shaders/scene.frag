@@ -97,8 +97,11 @@ void main() {
     out_label = uvec2(v_label & 0xFFFFu, v_label >> 16);
 #endif
 #ifdef NORMALS
-    // Alpha marks visible backs of static geometry, see hole_of() in readback/frames.py. Moving and alpha-tested surfaces are two-sided.
-#if defined(MOVING) || defined(ALPHA_TEST)
+    // Alpha marks visible backs of static geometry and moving surfaces, see hole_of() and moving_of() in readback/frames.py. Moving and
+    // alpha-tested surfaces are two-sided.
+#if defined(MOVING)
+    float side = 0.875;
+#elif defined(ALPHA_TEST)
     float side = 1.0;
 #else
     float side = gl_FrontFacing ? 1.0 : 0.5;

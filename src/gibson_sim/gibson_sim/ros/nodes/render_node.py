@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -34,9 +34,9 @@ from gibson_sim.ros.topics.discovery import wait_until_acknowledged
 from gibson_sim.ros.topics.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
-from gibson_sim.sensors.frame_history import FrameHistory
+from gibson_sim.sensors.frame_history import FrameHistory, PendingFrameSet
 from gibson_sim.standard.lockstep import CAMERAS
-from gibson_sim.types import CameraSpec, Frame, SceneState as State
+from gibson_sim.types import NS_PER_S, CameraSpec, Frame, SceneState as State
 
 _LATE_CHECK_S = 0.25
 """Period of the checks for late subscribers, s of wall time."""
@@ -72,7 +72,7 @@ class RenderNode(Node):
         nothing), <camera>/hole/image_raw (8UC1: 0 = surface, 1 = nothing, 2 = back face, 3 = outside or sky), each with its camera_info.
         run_info (gibson_msgs/RunInfo, latched); tick_done (gibson_msgs/TickDone), for lockstep; with ``digests``: tick_digest
         (gibson_msgs/TickDigest), of images before depth noise.
-        /diagnostics (diagnostic_msgs/DiagnosticArray): images per second, skipped images, render time in ms; once a second.
+        /diagnostics (diagnostic_msgs/DiagnosticArray): images per second, skipped and failed images, render time in ms; once a second.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -313,28 +313,54 @@ class RenderNode(Node):
         stamp_ns, started_ns = conversions.time_from_msg(msg.header.stamp), time.monotonic_ns()
         specs = {i: spec for i, kinds in subscribed.items() if (spec := self._cameras[i].to_draw(kinds)) is not None}
         moving = [self._cameras[i].camera for i in subscribed if needs_previous(self._cameras[i].camera)]
-        frames: list[Frame] = []
+        frames: dict[int, Frame] = {}
+        messages: list[str] = []
         try:
             if specs or moving:
                 state = conversions.scene_state_from_msg(msg, self._scene.links)
-                frames = self._frame_history.start(state, list(specs.values())).result()
+                frames = self._render(state, specs)
                 self._frame_history.note(state, moving)
                 drawn_ns = time.monotonic_ns()
-                messages = self._publish(dict(zip(specs, frames, strict=True)), subscribed, state)
-        except GibsonSimError as error:
-            self.get_logger().warning(f"state at {stamp_ns} ns is not drawn: {error}", throttle_duration_sec=1.0)
-            for i in specs.keys() & set(msg.due_cameras):
-                self._stats.count_due(self._cameras[i].camera, stamp_ns, subscribed=True)
-                self._stats.count_failed(self._cameras[i].camera)
-            return None
+                messages = self._publish(frames, subscribed, state)
+        except GibsonSimError as error:  # of the state, and so of all cameras
+            frames = {}
+            self._warn_of_failures(stamp_ns, {str(error): list(specs)})
+        failed = specs.keys() - frames.keys()
         for i, kinds in subscribed.items():
-            if kinds:
-                if i in msg.due_cameras:
-                    self._stats.count_due(self._cameras[i].camera, stamp_ns, subscribed=True)
+            if kinds and i in msg.due_cameras:
+                self._stats.count_due(self._cameras[i].camera, stamp_ns, subscribed=True)
+                if i in failed:
+                    self._stats.count_failed(self._cameras[i].camera)
+            if kinds and i not in failed:
                 self._cameras[i].publish_info(stamp_ns, kinds)
         if self._digests is not None:
             self._digests.publish(stamp_ns, msg.epoch, msg.epoch_step)
-        return (started_ns, drawn_ns, time.monotonic_ns(), frames, messages) if frames else None
+        return (started_ns, drawn_ns, time.monotonic_ns(), list(frames.values()), messages) if frames else None
+
+    def _render(self, state: State, specs: Mapping[int, CameraSpec]) -> dict[int, Frame]:
+        """Renders cameras; returns the frames by index, without those of cameras that failed, of which it warns."""
+        assert self._frame_history is not None
+        pending: list[tuple[list[int], PendingFrameSet]] = []
+        frames: dict[int, Frame] = {}
+        failures: dict[str, list[int]] = {}
+        for group in _groups(specs):
+            try:
+                pending.append((group, self._frame_history.start(state, [specs[i] for i in group])))
+            except GibsonSimError as error:
+                failures.setdefault(str(error), []).extend(group)
+        for group, started in pending:
+            try:
+                frames.update(zip(group, started.result(), strict=True))
+            except GibsonSimError as error:
+                failures.setdefault(str(error), []).extend(group)
+        if failures:
+            self._warn_of_failures(state.stamp_ns, failures)
+        return {i: frames[i] for i in specs if i in frames}
+
+    def _warn_of_failures(self, stamp_ns: int, failures: Mapping[str, Sequence[int]]) -> None:
+        """Warns of images that could not be rendered: message of the error -> indices of the cameras."""
+        texts = [f"{', '.join(self._cameras[i].camera.name for i in cameras)}: {error}" for error, cameras in failures.items()]
+        self.get_logger().warning(f"no image at {stamp_ns / NS_PER_S:.3f} s of {'; of '.join(texts)}", throttle_duration_sec=1.0)
 
     def _publish(self, frames: dict[int, Frame], subscribed: dict[int, frozenset[str]], state: State) -> list[str]:
         """Publishes images; returns ``<camera>/<kind>`` of each message."""
@@ -383,12 +409,12 @@ class RenderNode(Node):
         if self._renderer is None:
             return
         values = self._stats.since_last_report()
-        message = "draws every image" if values["images_per_s"] else "idle: no subscriber of its images"
+        level, message = _rating(values)
         note_in_job(STATUS.format(self.get_name()), json.dumps(values))
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if values["skipped"] else DiagnosticStatus.OK,
+            level=level,
             name=f"gibson_sim: {self.get_fully_qualified_name().lstrip('/')}",
-            message="skips images" if values["skipped"] else message,
+            message=message,
             hardware_id=self._renderer.info["renderer"],
             values=[KeyValue(key=k, value=f"{v:.2f}") for k, v in values.items()],
         )
@@ -406,6 +432,21 @@ class RenderNode(Node):
             write_summary(self._config.summary_path, self.summary())
             self._renderer.close()
             self._renderer = None
+
+
+def _rating(values: Mapping[str, float]) -> tuple[bytes, str]:
+    """Returns level and message of the diagnostics for statistics since the last report."""
+    if values["failed"]:
+        return DiagnosticStatus.ERROR, "images cannot be rendered: see the warnings in the log"
+    if values["skipped"]:
+        return DiagnosticStatus.WARN, "skips images"
+    return DiagnosticStatus.OK, "draws every image" if values["images_per_s"] else "idle: no subscriber of its images"
+
+
+def _groups(specs: Mapping[int, CameraSpec]) -> list[list[int]]:
+    """Returns the cameras in groups to be rendered together: an error costs the images of its group, so each with a network is on its own."""
+    others = [i for i, camera in specs.items() if camera.fill in ("", "push_pull")]
+    return [*([others] if others else []), *([i] for i in specs if i not in others)]
 
 
 def pop_queue(subscription: Any) -> Iterator[Any]:

@@ -36,7 +36,7 @@ class RenderStats:
         self._publish_ms: deque[float] = deque(maxlen=_MAX_SAMPLES)
         self._first_ns = self._last_ns = 0
         self._simulated_ns = 0
-        self._reported = (time.monotonic_ns(), 0, 0)
+        self._reported = (time.monotonic_ns(), 0, 0, 0)
 
     def count_due(self, camera: CameraSpec, stamp_ns: int, *, subscribed: bool) -> None:
         """Counts a due image of a camera; images that were due since the last one count as skipped, unless they had no subscriber."""
@@ -82,13 +82,14 @@ class RenderStats:
 
     def since_last_report(self) -> dict[str, float]:
         """Returns rates and counts since the last call."""
-        now, total = time.monotonic_ns(), sum(self._images.values())
-        last_ns, images, skipped = self._reported
-        self._reported = (now, total, self.skipped)
+        now, total, all_failed = time.monotonic_ns(), sum(self._images.values()), sum(self._failed.values())
+        last_ns, images, skipped, failed = self._reported
+        self._reported = (now, total, self.skipped, all_failed)
         seconds = (now - last_ns) / NS_PER_S
         return {
             "images_per_s": (total - images) / seconds,
             "skipped": self.skipped - skipped,
+            "failed": all_failed - failed,
             "draw_ms": self._draw_ms[-1] if self._draw_ms else 0.0,
         }
 
@@ -103,7 +104,7 @@ class RenderStats:
             "images_per_wall_s": {k: (n - 1) / wall_s if wall_s else 0.0 for k, n in self._images.items()},
             "images_per_simulated_s": {k: (n - 1) / sim_s if sim_s else 0.0 for k, n in self._images.items()},
             "skipped_images": self.skipped,
-            "skipped_by_camera": {k: self._skipped.get(k, 0) for k in self._images},
+            "skipped_by_camera": {k: self._skipped.get(k, 0) for k in {**self._images, **self._failed}},
             "draw_ms_median": median(self._draw_ms) if self._draw_ms else 0.0,
             "publish_ms_median": median(self._publish_ms) if self._publish_ms else 0.0,
         }
