@@ -166,7 +166,7 @@ def test_moving_links_keep_their_colours_and_fill_no_hole(kind: str, tmp_path: P
     assert not filled.rgb[holes][:, 2].any(), "the gap is as red as the wall, and not blue"
     assert np.allclose(filled.depth[32][holes[32]], 2.0, atol=1e-5), "the gap is as far as the wall"
     if kind == "network":
-        assert np.abs(filled.rgb[32, 10].astype(int) - plain.rgb[32, 10] // 2).max() <= 1, "the wall is corrected"
+        assert filled.rgb[32, 26, 0] < 0.6 * plain.rgb[32, 26, 0], "the wall beside the gap is corrected"
 
 
 def test_buffers_of_images_before_a_failure_are_used_again(tmp_path: Path) -> None:

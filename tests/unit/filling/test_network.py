@@ -12,6 +12,7 @@ import pytest
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling import fillers, onnx_files
 from gibson_sim.filling.fillers import LEARNED, Filled, PushPull, network_digests, open_filler
+from gibson_sim.filling.network import REACH_PX
 from support import onnx_bytes as ox
 from support.filler_networks import generator, our_network, pipeline
 
@@ -34,6 +35,26 @@ def test_our_network_gets_the_picture_after_push_pull_at_any_size(tmp_path: Path
     found = fill(tmp_path, our_network(), with_depth=True)
     assert np.array_equal(found.colour, expected.colour)
     assert np.array_equal(found.depth, expected.depth), "without depth of its own, push-pull fills depth"
+
+
+def test_corrections_of_our_network_fade_with_the_distance_from_holes(tmp_path: Path) -> None:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(our_network(gain=0.0))
+    grey, depth, normals = (
+        np.full((16, 200, 3), 200, np.uint8),
+        np.ones((16, 200), np.float32),
+        np.zeros((16, 200, 3), np.float32),
+    )
+    hole = np.zeros((16, 200), dtype=np.uint8)
+    unchanged = open_filler(str(file)).fill(grey, depth, normals, hole, with_depth=True)
+    assert np.array_equal(unchanged.colour, grey) and np.array_equal(unchanged.depth, depth), (
+        "without a hole nothing is corrected"
+    )
+    hole[:, 0] = 1
+    row = open_filler(str(file)).fill(grey, depth, normals, hole, with_depth=False).colour[8, :, 0].astype(float)
+    distances = np.arange(200)
+    assert np.abs(row - 200.0 * (1.0 - np.exp(-distances / REACH_PX))).max() <= 1.0
+    assert row[0] == 0.0 and (row[120:] == 200.0).all()
 
 
 def test_depth_of_our_network_is_used_in_holes_alone(tmp_path: Path) -> None:

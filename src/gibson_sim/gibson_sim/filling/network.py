@@ -24,6 +24,9 @@ MULTIPLE = 16
 """Images are padded to multiples of this many pixels for our networks."""
 VERSION = "1"
 """Value of ``gibson_filler`` in the metadata of a file: the version of the input format."""
+REACH_PX = 16.0
+"""Distance from the nearest hole at which the correction of a visible surface has fallen to 1/e, pixels. Scans are bad where they have holes; further
+away, corrections do not bring an image nearer to the truth, and leave blotches (chosen on the validation scenes, see docs/filler_training.md)."""
 _LEAST_INVERSE = np.float32(1e-3)
 """Smaller inverse depths, negative ones among them, are not used, 1/m: push-pull fills these pixels."""
 _CONTRACTS = (
@@ -87,7 +90,7 @@ def _named_sizes(sizes: tuple[Any, ...]) -> tuple[str, ...]:
 
 
 class GibsonNetwork:
-    """Our network: corrects all that is scanned, and also fills depth if it has a second output."""
+    """Our network: fills holes, corrects the scan around them, and also fills depth if it has a second output."""
 
     def __init__(self, file: Path, session: Any) -> None:
         self._file, self._session = file, session
@@ -97,6 +100,9 @@ class GibsonNetwork:
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
         """See ``Filler``."""
         height, width = hole.shape
+        holes = is_hole(hole)
+        if not holes.any():
+            return Filled(colour.copy(), depth.copy() if with_depth else None)
         # Trained on pinhole cameras, the network knows no black rim: to it, pixels outside the lens are holes.
         known = np.where(hole == OUTSIDE, np.uint8(NOTHING), hole)
         values = packed(filled_colour(colour, known), depth, normals, known)
@@ -104,17 +110,25 @@ class GibsonNetwork:
         values = np.pad(values, padding, mode="edge") if height % MULTIPLE or width % MULTIPLE else values
         outputs = run(self._session, self._file, {self._name: values})
         image = _planes(outputs[0], self._file, (1, 3, *values.shape[2:]))[0, :, :height, :width]
-        out = _bytes(image)
+        out = _near_holes(_bytes(image), colour, holes)
         np.copyto(out, colour, where=((hole == UNSEEN) | (hole == OUTSIDE) | (hole == MOVING))[:, :, None])
         if not with_depth:
             return Filled(out)
         if not self._has_depth:
-            return Filled(out, push_pull_depth(depth, is_hole(hole), hole == SURFACE))
+            return Filled(out, push_pull_depth(depth, holes, hole == SURFACE))
         inverse = _planes(outputs[1], self._file, (1, 1, *values.shape[2:]))[0, 0, :height, :width]
-        holes, usable = is_hole(hole), inverse > _LEAST_INVERSE
+        usable = inverse > _LEAST_INVERSE
         filled = depth.copy() if usable[holes].all() else push_pull_depth(depth, holes, hole == SURFACE)
         np.divide(np.float32(1.0), inverse, out=filled, where=holes & usable)
         return Filled(out, filled)
+
+
+def _near_holes(corrected: U8, colour: U8, holes: NDArray[np.bool_]) -> U8:
+    """Returns the corrected image in holes, fading to the rendered one with the distance from them."""
+    distance = cv2.distanceTransform((~holes).astype(np.uint8), cv2.DIST_L2, 5)
+    share = np.exp(distance * np.float32(-1.0 / REACH_PX))
+    blended = cv2.blendLinear(corrected, colour, share, np.float32(1.0) - share)
+    return np.asarray(blended, dtype=np.uint8)
 
 
 class MiGanPipeline:
