@@ -65,7 +65,7 @@ class BagPlayer(Node):
         super().__init__("bag_player", enable_rosout=False, start_parameter_services=False)
         self._options = options
         if options.start_paused and not _is_foreground():
-            raise ConfigError("--start-paused needs a terminal on standard input: SPACE starts the playback")
+            raise ConfigError("--start-paused needs the foreground of a terminal on standard input: SPACE starts the playback")
         self._bag: BagReader | None = BagReader(options.bag)
         try:
             self._span = played_span(self._bag, options)
@@ -116,7 +116,7 @@ class BagPlayer(Node):
         rate = "" if options.rate == 1.0 else f" at {options.rate:g} times the recorded speed"
         _say(f"playing {options.bag}: {self._span.seconds:.1f} s, {number} topic{'s' * (number > 1)}{rate}")
         start = time.monotonic()
-        with _Keys() as keys, progress_bar("playing") as advance:
+        with _Keys() as keys, progress_bar("playing", self._span.seconds / options.rate) as advance:
             while is_running():
                 reached_s = self._play(keys, advance)
                 if not options.loop:
@@ -283,7 +283,10 @@ class _Keys:
 
 def _is_foreground() -> bool:
     """Returns whether this process may use the terminal: the kernel stops a background process that reads from it."""
-    return sys.stdin is not None and sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    try:
+        return sys.stdin is not None and sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:  # not the controlling terminal: its keys are meant for another process
+        return False
 
 
 def _has_subscribers(publisher: Publisher, number: int) -> bool:
