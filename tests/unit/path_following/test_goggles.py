@@ -27,12 +27,9 @@ MIRRORED = {"channels": np.array([2, 1, 0], dtype=np.int64)}
 
 def network(height: int | str = "height", width: int | str = "width", small: str = "small", out: str = "image") -> bytes:
     """Returns a network that exchanges red and blue."""
-    return ox.model(
-        [ox.node("Gather", [out, "channels"], "brought", axis=3)],
-        [ox.value("image", "uint8", [1, height, width, 3]), ox.value(small, "uint8", [1, 64, 96, 3])],
-        [ox.value("brought", "uint8", [1, height, width, 3])],
-        MIRRORED,
-    )
+    inputs = [ox.value("image", "uint8", [1, height, width, 3]), ox.value(small, "uint8", [1, 64, 96, 3])]
+    gather = ox.node("Gather", [out, "channels"], "adapted", axis=3)
+    return ox.model([gather], inputs, [ox.value("adapted", "uint8", [1, height, width, 3])], MIRRORED)
 
 
 def write(folder: Path, content: bytes) -> Path:
@@ -104,6 +101,14 @@ def _with_external_data() -> bytes:
     return ox.model([ox.node("Add", ["a", "w"], "c")], [ox.value("a", "float32", [1])], [ox.value("c", "float32", [1])], tensors)
 
 
+def _with_two_outputs() -> bytes:
+    inputs = [ox.value("image", "uint8", [1, 64, 96, 3]), ox.value("small", "uint8", [1, 64, 96, 3])]
+    nodes = [ox.node("Gather", [name, "channels"], f"adapted_{name}", axis=3) for name in ("image", "small")]
+    return ox.model(
+        nodes, inputs, [ox.value(f"adapted_{name}", "uint8", [1, 64, 96, 3]) for name in ("image", "small")], MIRRORED
+    )
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -111,7 +116,8 @@ def _with_external_data() -> bytes:
         (b"GIF89a and so on", r"is not an ONNX file, or is truncated"),
         (network()[:-40], r"is not an ONNX file, or is truncated"),
         (_with_external_data(), r"has its weights in other files, which are not read"),
-        (network(small="thumbnail"), r"its inputs are 'image, thumbnail' .*; must be image, small and brought: use a file that gibson-sim learn"),
+        (network(small="thumbnail"), r"has the inputs 'image, thumbnail' and 1 output, must have the inputs image and small and one output;"),
+        (_with_two_outputs(), r"has the inputs 'image, small' and 2 outputs, must have .* one output"),
         (network(height=64, width=96), r"cannot be run: "),
         (network(out="small"), r"its output is uint8 \(1, 64, 96, 3\), must be uint8 \(1, 22, 34, 3\), as its image"),
     ],

@@ -38,7 +38,7 @@ _LARGEST_GAIN = 64.0
 _CODES = np.arange(256, dtype=np.float64) / 255.0
 _LINEAR = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4)
 """sRGB level -> linear light, 0 to 1."""
-_INPUTS, _OUTPUTS = ("image", "small"), ("brought",)
+_INPUTS = ("image", "small")
 
 
 class Goggles(Protocol):
@@ -143,12 +143,12 @@ class LearnedGoggles:
             ModelError: onnxruntime is not installed, or the file holds no such network.
         """
         self._file, self._session = file, open_session(file)
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        names = tuple(i.name for i in inputs), tuple(o.name for o in outputs)
-        if names != (_INPUTS, _OUTPUTS):
+        names = tuple(each.name for each in self._session.get_inputs())
+        number = len(self._session.get_outputs())
+        if names != _INPUTS or number != 1:
             raise ModelError(
-                f"{file}: its inputs are {quoted(', '.join(names[0]))} and its outputs {quoted(', '.join(names[1]))}; must be "
-                f"{', '.join(_INPUTS)} and {', '.join(_OUTPUTS)}: use a file that gibson-sim learn goggles wrote"
+                f"{file} has the inputs {quoted(', '.join(names))} and {number} output{'s' * (number != 1)}, must have the inputs "
+                f"{' and '.join(_INPUTS)} and one output; use a file that gibson-sim learn goggles wrote"
             )
         for width, height in ((96, 64), (34, 22)):  # it must accept any size
             self(np.zeros((height, width, 3), np.uint8))

@@ -1,6 +1,6 @@
 """Writes trained Goggles as ONNX, and their model card. Needs PyTorch and onnx.
 
-Inputs: ``image`` (1, H, W, 3), uint8, sRGB, H and W even, and ``small`` (1, 64, 96, 3), uint8, its thumbnail. Output: ``brought``
+Inputs: ``image`` (1, H, W, 3), uint8, sRGB, H and W even, and ``small`` (1, 64, 96, 3), uint8, its thumbnail. Output: ``adapted``
 (1, H, W, 3), uint8, sRGB, the adapted image.
 """
 
@@ -39,8 +39,8 @@ def export_network(network: GogglesNetwork, file: Path) -> int:
             (torch.zeros(1, 48, 80, 3, dtype=torch.uint8), small),
             buffer,
             input_names=["image", "small"],
-            output_names=["brought"],
-            dynamic_axes={name: {1: "height", 2: "width"} for name in ("image", "brought")},
+            output_names=["adapted"],
+            dynamic_axes={name: {1: "height", 2: "width"} for name in ("image", "adapted")},
             opset_version=_OPSET,
             dynamo=False,
         )
@@ -77,7 +77,7 @@ def write_card(
         "",
         "- **Intended use**: adapting indoor images of a pinhole camera to the appearance of Gibson Sim's images: exposure, white balance, lighting, "
         "vignetting.",
-        "- **Not intended for**: noise and blur, which hardly change; images in the dark, true colours, other camera models; the content of clipped "
+        "- **Not intended for**: removing noise or blur; images in the dark, true colours, other camera models; the content of clipped "
         "or black pixels is invented.",
         f"- **Size**: {parameter_count(network)} weights, float32.",
         f"- **Training scenes**: {', '.join(TRAINING)}, lighting and cameras of the domains {', '.join(f'`{name}`' for name in TRAINING_DOMAINS)}. "
