@@ -40,7 +40,7 @@ def node(listener: Listener) -> Iterator[Any]:
     made.destroy_node()
 
 
-def test_an_image_comes_out_with_its_stamp_and_frame_in_the_look_of_the_simulator_and_its_calibration_as_it_came(
+def test_an_image_comes_out_adapted_with_its_stamp_and_frame_and_the_camera_info_of_that_stamp(
     listener: Listener, node: Any
 ) -> None:
     images = listener.collect(Image, "goggles/image_raw", qos_profile_sensor_data)
@@ -71,7 +71,7 @@ def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_passes(node: 
     lines: list[str] = []
     passed: list[Any] = []
     monkeypatch.setattr(node.get_logger(), "error", lambda text, **_: lines.append(text))
-    node._images.publish = passed.append
+    node._image_pub.publish = passed.append
     for msg in (_message("jpeg2000"), Image(encoding="rgb8"), _message()):
         node._on_image(msg)
     assert [line.partition(",")[0] for line in lines] == [
@@ -79,3 +79,32 @@ def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_passes(node: 
         "camera/image_raw: an image of 0x0 rgb8 pixels has 0 bytes in rows of 0",
     ]
     assert len(passed) == 1
+    assert str(node._queue.counts) == "3 received, 1 adapted, 0 skipped, 2 unusable"
+
+
+def test_the_images_that_arrive_while_one_is_adapted_are_skipped_except_for_the_newest(
+    listener: Listener, node: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images = listener.collect(Image, "goggles/image_raw", qos_profile_sensor_data)
+    publisher = listener.node.create_publisher(Image, "camera/image_raw", 10)
+    listener.spin_until(
+        lambda: publisher.get_subscription_count() > 0 and node._image_pub.get_subscription_count() > 0, "subscribers"
+    )
+
+    def send(*seconds: int) -> None:
+        for second in seconds:
+            msg = _message()
+            msg.header.stamp.sec = second
+            publisher.publish(msg)
+
+    def adapt(image: Any) -> Any:
+        """Is slow the first time: three more images arrive meanwhile."""
+        monkeypatch.setattr(node, "_goggles", lambda image: image)
+        send(2, 3, 4)
+        return image
+
+    monkeypatch.setattr(node, "_goggles", adapt)
+    send(1)
+    listener.spin_until(lambda: len(images) == 2, "the first and the newest image")
+    assert [msg.header.stamp.sec for msg in images] == [1, 4]
+    assert str(node._queue.counts) == "4 received, 2 adapted, 2 skipped, 0 unusable"

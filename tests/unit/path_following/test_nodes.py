@@ -632,7 +632,7 @@ def test_a_recording_of_one_camera_of_a_pair_says_which_one_is_missing(context: 
 def test_topics_without_images_and_stamps_that_stand_still_are_one_line(context: Any) -> None:
     node, lines = Node("watch", context=context, namespace="robot"), list[str]()
     node.get_logger().warning = lambda text, **_: lines.append(text)
-    watch = ImageWatch(node, ("front/image_raw", "back/image_raw"), "parameter image_topics")
+    watch = ImageWatch(node, {"front/image_raw": Image, "back/image_raw": Image}, "parameter image_topics")
     watch.warn()
     assert len(lines) == 2
     assert lines[1] == "no image has come from /robot/back/image_raw; does the camera run, and is parameter image_topics right?"

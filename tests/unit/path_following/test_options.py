@@ -52,6 +52,8 @@ def test_every_parameter_has_a_description_and_every_number_limits(kind: type[Op
         ),
         (EvaluatorOptions, {"path": "p", "collision_topic": "a//b"}, "collision_topic is 'a//b', which cannot name a topic"),
         (GogglesOptions, {"image_topic": "1/image"}, "image_topic is '1/image', which cannot name a topic"),
+        (GogglesOptions, {"image_topic": "front/camera_info"}, "image_topic has 'front/camera_info', must be topics of images"),
+        (RecorderOptions, {"image_topics": ["camera_info"]}, "image_topics has 'camera_info', must be topics of images, such as"),
         (RecorderOptions, {"camera_hfov_deg": 180.0}, "camera_hfov_deg is 180, must be 0, or 1 to 179 for a pinhole camera"),
         (RecorderOptions, {"hfov_deg": 200.0}, "hfov_deg is 200, must be 0, or 1 to 179 for a pinhole camera"),
         (
@@ -97,7 +99,7 @@ def test_a_description_has_type_limits_and_default() -> None:
 
 @pytest.mark.parametrize(
     ("name", "hint"),
-    [("mod", "did you mean 'mode'?"), ("zzz", "--help lists the parameters of this node")],
+    [("mod", "did you mean 'mode'?"), ("modle", "did you mean 'model'?"), ("zzz", "--help lists the parameters of this node")],
 )
 def test_a_parameter_that_there_is_not_gets_a_hint(name: str, hint: str) -> None:
     assert unknown_name(name, GogglesOptions) == f"parameter '{name}' is unknown and has no effect; {hint}"

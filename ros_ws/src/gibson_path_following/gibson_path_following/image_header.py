@@ -1,4 +1,4 @@
-"""Reads the size of a PNG or JPEG image from its header, so that an image that is too large is refused before it is decoded."""
+"""Reads the size and depth of a PNG or JPEG image from its header, so that an unusable image is refused before it is decoded."""
 
 from __future__ import annotations
 
@@ -16,6 +16,13 @@ def image_size(data: bytes) -> tuple[int, int] | None:
         width, height = struct.unpack_from(">II", data, 16)
         return width, height
     return _jpeg_size(data) if data[:2] == b"\xff\xd8" else None
+
+
+def deep_png_encoding(data: bytes) -> str | None:
+    """Returns the encoding of a PNG image with 16 bits per channel, mono16 or rgb16; None for all other data."""
+    if not (data[:8] == b"\x89PNG\r\n\x1a\n" and data[12:16] == b"IHDR" and data[24:25] == b"\x10"):
+        return None
+    return "rgb16" if data[25:26] in (b"\x02", b"\x06") else "mono16"
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:

@@ -46,7 +46,9 @@ def describe(kind: type[Options]) -> str:
 
 def unknown_name(name: str, kind: type[Options]) -> str:
     """Returns the line of a warning about a parameter that a node does not have."""
-    near = difflib.get_close_matches(name, [one.name for one in fields(kind)], 1, 0.5)
+    names = [one.name for one in fields(kind)]
+    swapped = [one for one in names if sorted(one) == sorted(name)]  # exchanged letters are nearer than a missing one
+    near = swapped or difflib.get_close_matches(name, names, 1, 0.5)
     hint = f"did you mean {quoted(near[0])}?" if near else "--help lists the parameters of this node"
     return f"parameter {quoted(name)} is unknown and has no effect; {hint}"
 
@@ -195,12 +197,20 @@ class GogglesOptions(Options):
     )
     mode: str = option("learned", f"how images are adapted to the appearance of the simulator: {', '.join(MODES)}")
     model: str = option("", "ONNX file of learned; empty = the network in the package")
+    queue_size: int = option(
+        1,
+        "images that may wait while one is adapted; 1 = the newest only, for a robot; a larger number, for bags, receives reliably and adapts "
+        "images in their order",
+        1,
+        10_000,
+    )
     reference: str = option("", "folder of a path whose colours the other modes aim at; empty = the simulator's")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.image_topic:
             raise SettingError("parameter image_topic is empty, must be a topic of images")
+        _check_image_topic("image_topic", self.image_topic)
         if self.mode not in MODES:
             raise SettingError(f"parameter mode is {quoted(self.mode)}, must be one of {', '.join(MODES)}")
         if self.model and self.mode != "learned":
@@ -237,6 +247,11 @@ def _check_topic(name: str, topic: str) -> None:
         )
 
 
+def _check_image_topic(name: str, topic: str) -> None:
+    if topic.rpartition("/")[2] == "camera_info":
+        raise SettingError(f"parameter {name} has {quoted(topic)}, must be topics of images, such as camera/image_raw")
+
+
 def _check(name: str, value: Any, default: object, least: Any, most: Any) -> None:
     """``least`` and ``most``: limits of a number; None = it has none."""
     if isinstance(default, tuple):
@@ -265,6 +280,8 @@ def check_camera(camera: str, options: CameraOptions) -> None:
         raise SettingError(
             f"parameter image_topics has {len(topics)} names, a {camera} camera needs {len(names)}: {', '.join(names)}"
         )
+    for topic in topics:
+        _check_image_topic("image_topics", topic)
     if len(set(topics)) < len(topics):
         raise SettingError(f"parameter image_topics is {quoted(list(topics))}, must be different topics: {', '.join(names)}")
     _check_hfov("camera_hfov_deg", options.camera_hfov_deg, camera)

@@ -44,7 +44,7 @@ class CameraFaultsNode(Node):
         self.exit_code: int | None = None
         self._faults: CameraFaults[Any] = CameraFaults(FaultSettings(o.cover_after, o.cover, o.drop, o.delay))
         self._was_covered = False
-        self._watch = ImageWatch(self, [_TOPIC], f"the remapping of {_TOPIC}")
+        self._watch = ImageWatch(self, {_TOPIC: Image}, f"the remapping of {_TOPIC}")
         self._images = self.create_publisher(Image, "faulty/image_raw", qos_profile_sensor_data)
         self._infos = self.create_publisher(CameraInfo, "faulty/camera_info", qos_profile_sensor_data)
         self.create_subscription(CameraInfo, "camera/camera_info", self._infos.publish, qos_profile_sensor_data)

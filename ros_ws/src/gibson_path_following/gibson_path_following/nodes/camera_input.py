@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image as ImageMsg
+from sensor_msgs.msg import CameraInfo
 
 from gibson_path_following.cameras import Calibration, ViewAssembler, ViewCamera
 from gibson_path_following.errors import PathFollowingError, SettingError
@@ -77,19 +77,14 @@ class CameraInput:
         self._incomplete_ns: int | None = None
         """Wall time of the first image since the newest complete view, ns."""
         self._period_ns = 0 if options.rate_hz == 0.0 else round(conversions.NS_PER_S / options.rate_hz)
-        self._watch = ImageWatch(node, options.image_topics, "parameter image_topics")
+        types = {topic: conversions.image_type(node, topic) for topic in options.image_topics}
+        self._watch = ImageWatch(node, types, "parameter image_topics")
         self._subscriptions = []
         for name, topic in zip(IMAGES_OF[kind], options.image_topics, strict=True):
-            compressed = topic.endswith("/compressed")
-            of = CompressedImage if compressed else ImageMsg
-            self._subscriptions.append(node.create_subscription(of, topic, partial(self._on_image, name, topic), _QOS))
+            self._subscriptions.append(node.create_subscription(types[topic], topic, partial(self._on_image, name, topic), _QOS))
             if options.use_camera_info:
-                info = topic.removesuffix("/compressed").rpartition("/")[0]
-                self._subscriptions.append(
-                    node.create_subscription(
-                        CameraInfo, f"{info}/camera_info" if info else "camera_info", partial(self._on_info, name), _QOS
-                    )
-                )
+                info = conversions.info_topic(topic)
+                self._subscriptions.append(node.create_subscription(CameraInfo, info, partial(self._on_info, name), _QOS))
 
     def close(self) -> None:
         """Ends the subscriptions; a second call does nothing."""
@@ -149,8 +144,7 @@ class CameraInput:
             camera = self._camera(name, topic)
             if camera is None:
                 return None
-            rgb = conversions.rgb_of_compressed(msg) if topic.endswith("/compressed") else conversions.rgb_of_image(msg)
-            return camera.image(rgb, self._calibration(name), self._camera_hfov())
+            return camera.image(conversions.rgb_of(msg), self._calibration(name), self._camera_hfov())
         except PathFollowingError as error:
             self.problem = f"{topic}: {error}"
             self._node.get_logger().error(self.problem, throttle_duration_sec=5.0)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import cv2
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Twist, TwistStamped
+from sensor_msgs.msg import CompressedImage, Image as ImageMsg
 
 from gibson_path_following.cameras import Calibration
 from gibson_path_following.errors import ViewError, quoted
-from gibson_path_following.image_header import image_size
+from gibson_path_following.image_header import deep_png_encoding, image_size
 from gibson_path_following.types import Image, Velocity
 
 NS_PER_S = 1_000_000_000
@@ -30,6 +32,10 @@ _TO_RGB = {
 """Encoding -> bytes of a pixel, and how OpenCV makes RGB of it."""
 _PAIRS = ("uyvy", "yuv422", "yuyv", "yuv422_yuy2")
 """Encodings that code two neighbouring pixels together."""
+_MEASURED = re.compile(r"mono16|(16U|16S|32S|32F|64F)C\d+")
+"""Encodings of depth and labels."""
+_COMPRESSED = "/compressed"
+"""End of the topics of ``sensor_msgs/CompressedImage``."""
 _MIN_NORM = 0.1
 """Norm of a quaternion below which it is no rotation: that of a driver that does not set it is 0."""
 
@@ -44,6 +50,27 @@ def time_msg(ns: int) -> Any:
     return Time(sec=ns // NS_PER_S, nanosec=ns % NS_PER_S)
 
 
+def image_type(node: Any, topic: str) -> Any:
+    """Returns the type of the images on a topic: CompressedImage if its name, as given or remapped, ends in /compressed; else Image."""
+    is_compressed = any(name.endswith(_COMPRESSED) for name in (topic, node.resolve_topic_name(topic)))
+    return CompressedImage if is_compressed else ImageMsg
+
+
+def info_topic(topic: str) -> str:
+    """Returns the topic of the camera_info beside a topic of images."""
+    folder = topic.removesuffix(_COMPRESSED).rpartition("/")[0]
+    return f"{folder}/camera_info" if folder else "camera_info"
+
+
+def rgb_of(msg: Any) -> Image:
+    """Returns the pixels of a ``sensor_msgs/Image`` or ``sensor_msgs/CompressedImage``, (H, W, 3) RGB.
+
+    Raises:
+        ViewError: the image cannot be used.
+    """
+    return rgb_of_compressed(msg) if hasattr(msg, "format") else rgb_of_image(msg)
+
+
 def rgb_of_image(msg: Any) -> Image:
     """Returns the pixels of a ``sensor_msgs/Image``, (H, W, 3) RGB.
 
@@ -51,9 +78,7 @@ def rgb_of_image(msg: Any) -> Image:
         ViewError: the encoding is another one, the data do not fit the size, or such a size cannot have that encoding.
     """
     if msg.encoding not in _TO_RGB:
-        raise ViewError(
-            f"an image has the encoding {quoted(msg.encoding)}, must be one of {', '.join(_TO_RGB)}; set it in the camera's driver"
-        )
+        raise _encoding_error(msg.encoding)
     size, code = _TO_RGB[msg.encoding]
     height, width, step = int(msg.height), int(msg.width), int(msg.step)
     if not (0 < height * width <= MAX_PIXELS and step >= width * size and len(msg.data) >= step * height):
@@ -75,13 +100,26 @@ def rgb_of_image(msg: Any) -> Image:
         raise ViewError(f"an image of {width}x{height} pixels cannot have the encoding {msg.encoding}: {error.err}") from error
 
 
+def _encoding_error(encoding: str) -> ViewError:
+    name = f"an image has the encoding {quoted(encoding)}"
+    if _MEASURED.fullmatch(encoding):
+        return ViewError(f"{name}, that of depth and labels; choose the topic of the colour images")
+    return ViewError(f"{name}, must be one of {', '.join(_TO_RGB)}; set it in the camera's driver")
+
+
 def rgb_of_compressed(msg: Any) -> Image:
     """Returns the pixels of a ``sensor_msgs/CompressedImage``, (H, W, 3) RGB.
 
     Raises:
-        ViewError: it is neither JPEG nor PNG, is too large, or cannot be decoded.
+        ViewError: it is neither JPEG nor PNG, has more than 8 bits per channel, is too large, or cannot be decoded.
     """
     data = bytes(msg.data)
+    # The format begins with the encoding before compression: "16UC1; png compressed". JPEG has 8 bits also of depth.
+    encoding = msg.format.partition(";")[0].strip()
+    if _MEASURED.fullmatch(encoding):
+        raise _encoding_error(encoding)
+    if deep := deep_png_encoding(data):
+        raise _encoding_error(deep)
     # A small file may decode to gigabytes.
     size = image_size(data)
     if size is None:

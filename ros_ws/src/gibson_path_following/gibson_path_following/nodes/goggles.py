@@ -4,26 +4,36 @@ from __future__ import annotations
 
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image
 
-from gibson_path_following.errors import PathFollowingError
+from gibson_path_following.errors import PathFollowingError, SettingError, quoted
 from gibson_path_following.goggles import load_reference, make_goggles
+from gibson_path_following.image_queue import ImageCounts, ImageQueue
 from gibson_path_following.nodes import conversions
+from gibson_path_following.nodes.camera_infos import CameraInfos
 from gibson_path_following.nodes.image_watch import ImageWatch
 from gibson_path_following.nodes.parameters import declared
-from gibson_path_following.nodes.running import run_node
+from gibson_path_following.nodes.running import pop_queue, run_node
 from gibson_path_following.options import GogglesOptions
 
-_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Images that arrive while one is processed are dropped, but for the newest."""
-_RELIABLE = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+_DEPTH = 30
+"""Messages that the middleware holds while an image is adapted: all are counted if no more arrive in that time."""
+_NEWEST = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+_ALL = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+_OUTPUT = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 """As camera drivers publish (REP 2003): subscribers with either reliability receive the images."""
+_COUNTS_PERIOD_S = 10
+"""Time between two lines with the counts of images, seconds of wall time."""
 
 
 class GogglesNode(Node):
-    """Adapts each image to the appearance of the simulator; stamp, frame and size stay the same.
+    """Adapts images to the appearance of the simulator; stamp, frame and size stay the same.
+
+    Images that arrive while one is adapted are skipped, except for the newest one; queue_size lets them wait.
 
     Parameters: the fields of ``gibson_path_following.options.GogglesOptions``.
 
@@ -31,8 +41,8 @@ class GogglesNode(Node):
         camera/image_raw (sensor_msgs/Image), or ``image_topic``; camera/camera_info beside it.
 
     Publishes:
-        goggles/image_raw (sensor_msgs/Image, rgb8) and goggles/camera_info as it came, reliable: give ``path_policy`` the parameter
-        image_topics: [goggles/image_raw].
+        goggles/image_raw (sensor_msgs/Image, rgb8) and, with the stamp of each image, goggles/camera_info, both reliable: give
+        ``path_policy`` the parameter image_topics: [goggles/image_raw].
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -45,31 +55,101 @@ class GogglesNode(Node):
         o = declared(self, GogglesOptions)
         self.exit_code: int | None = None
         self._goggles = make_goggles(o.mode, o.model, None if o.mode == "learned" else load_reference(o.reference))
-        self._topic, self._is_compressed = o.image_topic, o.image_topic.endswith("/compressed")
-        self._images = self.create_publisher(Image, "goggles/image_raw", _RELIABLE)
-        self._infos = self.create_publisher(CameraInfo, "goggles/camera_info", _RELIABLE)
-        beside = o.image_topic.removesuffix("/compressed").rpartition("/")[0]
-        info = f"{beside}/camera_info" if beside else "camera_info"
-        self.create_subscription(CameraInfo, info, self._infos.publish, qos_profile_sensor_data)
-        self._watch = ImageWatch(self, [o.image_topic], "parameter image_topic")
-        self.create_subscription(CompressedImage if self._is_compressed else Image, o.image_topic, self._on_image, _NEWEST)
+        self._image_pub = self.create_publisher(Image, "goggles/image_raw", _OUTPUT)
+        self._info_pub = self.create_publisher(CameraInfo, "goggles/camera_info", _OUTPUT)
+        self._topic = o.image_topic
+        info_topic = conversions.info_topic(o.image_topic)
+        self._check_inputs(o.image_topic, info_topic)
+        self._queue: ImageQueue[Any] = ImageQueue(o.queue_size)
+        self._infos = CameraInfos(_DEPTH + o.queue_size)
+        self._logged = ImageCounts()
+        """Counts at the last line about them."""
+        kind = conversions.image_type(self, o.image_topic)
+        self._image_sub = self.create_subscription(
+            kind,
+            o.image_topic,
+            self._on_image,
+            _ALL if o.queue_size > 1 else _NEWEST,
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible_qos),
+        )
+        self._info_sub = self.create_subscription(CameraInfo, info_topic, self._infos.add, _NEWEST)
+        self._has_waiting = self.create_guard_condition(self._adapt_next)
+        self._watch = ImageWatch(self, {o.image_topic: kind}, "parameter image_topic")
+        self.create_timer(_COUNTS_PERIOD_S, self._log_counts, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _check_inputs(self, *topics: str) -> None:
+        """Raises SettingError if the node would receive what it publishes."""
+        outputs = [publisher.topic_name for publisher in (self._image_pub, self._info_pub)]
+        for name in map(self.resolve_topic_name, topics):
+            if name in outputs:
+                raise SettingError(
+                    f"parameter image_topic is {quoted(self._topic)}, but {name} is an output of this node; choose the topic of the camera's "
+                    "images, such as camera/image_raw"
+                )
+
+    def _on_incompatible_qos(self, _: Any) -> None:
+        """Logs that a publisher of images is best effort: the only policy that may not match."""
+        self.get_logger().warning(
+            f"the images on {self._image_sub.topic_name} are published best effort, and queue_size {self._queue.size} needs reliable ones; set it "
+            "to 1, or the publisher's reliability to reliable"
+        )
 
     def _on_image(self, msg: Any) -> None:
+        self._receive(msg)
+        self._adapt_next()
+
+    def _receive(self, msg: Any) -> None:
         self._watch.note(self._topic, conversions.stamp_ns(msg.header.stamp))
-        try:
-            rgb = conversions.rgb_of_compressed(msg) if self._is_compressed else conversions.rgb_of_image(msg)
-            adapted = self._goggles(rgb)
-        except PathFollowingError as error:
-            self.get_logger().error(f"{self._topic}: {error}", throttle_duration_sec=5.0)
+        self._queue.add(msg)
+
+    def _adapt_next(self) -> None:
+        """Adapts the oldest image of the queue, and comes back for the others."""
+        for msg in pop_queue(self._image_sub):
+            self._receive(msg)
+        image = self._queue.pop()
+        if image is None:
             return
+        try:
+            adapted = self._goggles(conversions.rgb_of(image))
+        except PathFollowingError as error:
+            self._queue.note_result(usable=False)
+            self.get_logger().error(f"{self._topic}: {error}", throttle_duration_sec=5.0)
+        else:
+            self._publish(image.header, adapted)
+            self._queue.note_result(usable=True)
+        if self._queue.waiting:
+            self._has_waiting.trigger()
+
+    def _publish(self, header: Any, adapted: Any) -> None:
+        """Publishes an image, (H, W, 3), uint8, and its camera_info."""
         height, width = adapted.shape[:2]
-        out = Image(height=height, width=width, encoding="rgb8", step=3 * width)
-        out.header, out.data = msg.header, adapted.tobytes()
-        self._images.publish(out)
+        out = Image(header=header, height=height, width=width, encoding="rgb8", step=3 * width)
+        out.data = adapted.tobytes()
+        for msg in pop_queue(self._info_sub):  # those that came while the image was adapted
+            self._infos.add(msg)
+        info = self._infos.of_image(header, width, height)
+        if info is not None:
+            self._info_pub.publish(info)
+        elif (newest := self._infos.newest) is not None:
+            self.get_logger().warning(
+                f"{self._info_sub.topic_name} is of {newest.width}x{newest.height} pixels, images are {width}x{height} and have other stamps: they "
+                "are published without camera_info; publish that of the same camera and size",
+                throttle_duration_sec=5.0,
+            )
+        self._image_pub.publish(out)
+
+    def _log_counts(self) -> None:
+        counts = self._queue.counts
+        new, self._logged = counts.since(self._logged), counts
+        if new != ImageCounts():
+            waiting = f", {self._queue.waiting} waiting" if self._queue.waiting else ""
+            self.get_logger().info(f"images in {_COUNTS_PERIOD_S} s: {new}{waiting}")
 
     def stop(self) -> None:
-        """Ends the warnings."""
+        """Ends the warnings, and logs how many images were adapted."""
         self._watch.close()
+        self._queue.close()
+        self.get_logger().info(f"images in all: {self._queue.counts}")
 
 
 def main(args: list[str] | None = None) -> None:

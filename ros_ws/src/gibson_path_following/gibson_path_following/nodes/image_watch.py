@@ -1,8 +1,8 @@
-"""Says in the log of a node why images do not come, or cannot be used: a wrong topic, stamps that stand still."""
+"""Logs why a node receives no images, or cannot use them: a wrong topic, a wrong message type, stamps that stand still."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -14,18 +14,18 @@ _EQUAL_STAMPS = 10
 
 
 class ImageWatch:
-    """Warns every 5 s of topics without images, and of images whose stamps do not change.
+    """Warns every 5 s of topics without images, or of another type, and of images whose stamps do not change.
 
     Args:
         node: the node that subscribes.
-        topics: topics of its images.
+        topics: topic -> message type of its images.
         setting: what names the topics: a parameter, or a remapping.
     """
 
-    def __init__(self, node: Any, topics: Sequence[str], setting: str) -> None:
+    def __init__(self, node: Any, topics: Mapping[str, Any], setting: str) -> None:
         self._node, self._setting = node, setting
-        self._silent = list(topics)
-        """Topics from which no image has come."""
+        self._silent = {topic: f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}" for topic, kind in topics.items()}
+        """Topics from which no image has come -> their type."""
         self._newest: dict[str, tuple[int, int]] = {}
         """Newest stamp of a topic, ns, and number of successive images that had it."""
         self._timer = node.create_timer(_PERIOD_S, self.warn, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -42,8 +42,7 @@ class ImageWatch:
             topic: one of the topics.
             stamp_ns: its stamp, ns.
         """
-        if topic in self._silent:
-            self._silent.remove(topic)
+        self._silent.pop(topic, None)
         newest_ns, count = self._newest.get(topic, (0, 0))
         count = count + 1 if stamp_ns == newest_ns else 1
         self._newest[topic] = (stamp_ns, count)
@@ -55,10 +54,16 @@ class ImageWatch:
 
     def warn(self) -> None:
         """Warns of the topics without images."""
-        for topic in self._silent:
-            self._node.get_logger().warning(
-                f"no image has come from {self._node.resolve_topic_name(topic)}; does the camera run, and is {self._setting} right?"
-            )
+        for topic, expected in self._silent.items():
+            name = self._node.resolve_topic_name(topic)
+            types = {publisher.topic_type for publisher in self._node.get_publishers_info_by_topic(name)}
+            if types and expected not in types:
+                self._node.get_logger().warning(
+                    f"{name} is published as {', '.join(sorted(types))}, this node subscribes to {expected} there; choose another topic with "
+                    f"{self._setting}: names that end in /compressed are sensor_msgs/msg/CompressedImage"
+                )
+                continue
+            self._node.get_logger().warning(f"no image has come from {name}; does the camera run, and is {self._setting} right?")
 
     def close(self) -> None:
         """Ends the warnings; a second call does nothing."""

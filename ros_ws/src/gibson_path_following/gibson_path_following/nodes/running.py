@@ -6,6 +6,7 @@ import inspect
 import logging
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -93,6 +94,13 @@ def help_text(kind: type[Any], options: type[Options]) -> str:
         f"usage: {Path(sys.argv[0]).stem} [--ros-args [-p PARAMETER:=VALUE]... [-r TOPIC:=OTHER_TOPIC]... [--params-file FILE]]\n\n"
         f"{about.replace('``', '')}\n\nParameters:\n{describe(options)}"
     )
+
+
+def pop_queue(subscription: Any) -> Iterator[Any]:
+    """Yields all messages in a subscription's queue; the executor would call back for one after another."""
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            yield taken[0]
 
 
 def _wrong_rule(args: list[str]) -> str | None:

@@ -1,0 +1,246 @@
+"""The node ``goggles``, fed by hand: the newest image, its camera_info, and topics that cannot be its input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from support.simulation import require
+
+require("rclpy", "sensor_msgs")
+
+import rclpy  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import ReliabilityPolicy  # noqa: E402
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
+
+from gibson_path_following.errors import SettingError, ViewError  # noqa: E402
+from gibson_path_following.nodes import conversions  # noqa: E402
+from gibson_path_following.nodes.camera_infos import CameraInfos  # noqa: E402
+from gibson_path_following.nodes.goggles import GogglesNode  # noqa: E402
+from gibson_path_following.nodes.image_watch import ImageWatch  # noqa: E402
+
+pytestmark = pytest.mark.ros
+K = [5.0, 0.0, 5.0, 0.0, 5.0, 3.0, 0.0, 0.0, 1.0]
+
+
+def _image(second: int, frame: str = "front_optical") -> Image:
+    msg = Image(height=6, width=10, encoding="rgb8", step=30, data=bytes([100] * 180))
+    msg.header.frame_id, msg.header.stamp.sec = frame, second
+    return msg
+
+
+def _info(second: int, width: int = 10, fx: float = 5.0) -> CameraInfo:
+    msg = CameraInfo(width=width, height=6, k=[fx, *K[1:]])
+    msg.header.frame_id, msg.header.stamp.sec = "info_optical", second
+    return msg
+
+
+@pytest.fixture
+def context(ros_domain: int) -> Iterator[Any]:
+    context = rclpy.Context()
+    context.init(domain_id=ros_domain)
+    yield context
+    context.try_shutdown()
+
+
+@pytest.fixture
+def make(context: Any) -> Iterator[Callable[..., Any]]:
+    """Returns a function that makes the node, with its messages in ``sent`` and its lines in ``lines``."""
+    made: list[Any] = []
+
+    def start(cli_args: tuple[str, ...] = (), **parameters: Any) -> Any:
+        values = [Parameter(name, value=value) for name, value in {"mode": "histogram", **parameters}.items()]
+        node: Any = GogglesNode(context=context, use_global_arguments=False, cli_args=list(cli_args), parameter_overrides=values)
+        made.append(node)
+        node.sent, node.lines = [], []
+        node._image_pub.publish = node._info_pub.publish = node.sent.append
+        for level in ("info", "warning", "error"):
+            setattr(node.get_logger(), level, lambda text, **_: node.lines.append(text))
+        return node
+
+    yield start
+    for node in made:
+        node.destroy_node()
+
+
+def _stamps(node: Any) -> list[tuple[str, int, str]]:
+    return [(type(msg).__name__, msg.header.stamp.sec, msg.header.frame_id) for msg in node.sent]
+
+
+# camera_info
+
+
+def test_the_camera_info_of_an_image_is_the_one_with_its_stamp_as_it_came() -> None:
+    infos = CameraInfos(5)
+    for second in (1, 2, 3):
+        infos.add(_info(second, fx=float(second)))
+    assert infos.of_image(_image(2).header, 10, 6) == _info(2, fx=2.0)
+
+
+def test_without_one_of_its_stamp_it_is_the_newest_of_its_size_with_its_header() -> None:
+    infos = CameraInfos(5)
+    for info in (_info(1, fx=1.0), _info(2, fx=2.0), _info(3, width=20)):
+        infos.add(info)
+    found = infos.of_image(_image(7).header, 10, 6)
+    assert found is not None and found.header == _image(7).header and found.k[0] == 2.0
+    assert infos.of_image(_image(2).header, 10, 6) == _info(2, fx=2.0), "the message that was copied is unchanged"
+    assert infos.of_image(_image(7).header, 30, 6) is None
+
+
+def test_only_the_newest_camera_infos_are_kept() -> None:
+    infos = CameraInfos(2)
+    for second in (1, 2, 3):
+        infos.add(_info(second, fx=float(second)))
+    found = infos.of_image(_image(1).header, 10, 6)
+    assert found is not None and found.k[0] == 3.0
+
+
+def test_every_image_is_published_with_a_camera_info_of_its_stamp(make: Callable[..., Any]) -> None:
+    node = make()
+    node._infos.add(_info(1))
+    for second in (1, 2):
+        node._on_image(_image(second))
+    assert _stamps(node) == [
+        ("CameraInfo", 1, "info_optical"), ("Image", 1, "front_optical"), ("CameraInfo", 2, "front_optical"), ("Image", 2, "front_optical"),
+    ]  # fmt: skip
+
+
+def test_a_camera_info_without_an_image_is_not_published_and_one_of_another_size_is_one_line(make: Callable[..., Any]) -> None:
+    node = make()
+    node._infos.add(_info(1, width=20))
+    assert node.sent == []
+    node._on_image(_image(2))
+    assert _stamps(node) == [("Image", 2, "front_optical")]
+    assert node.lines == [
+        "/camera/camera_info is of 20x6 pixels, images are 10x6 and have other stamps: they are published without camera_info; publish that "
+        "of the same camera and size"
+    ]
+
+
+# Images
+
+
+def test_of_the_images_that_wait_the_newest_is_adapted_and_counts_are_logged(
+    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = make()
+    waiting = [_image(2), _image(3)]
+    monkeypatch.setattr("gibson_path_following.nodes.goggles.pop_queue", lambda of: waiting if of is node._image_sub else ())
+    node._on_image(_image(1))
+    assert _stamps(node) == [("Image", 3, "front_optical")]
+    waiting.clear()
+    node._log_counts()
+    node._log_counts()
+    node._on_image(_image(4))
+    node.stop()
+    assert node.lines == [
+        "images in 10 s: 3 received, 1 adapted, 2 skipped, 0 unusable",
+        "images in all: 4 received, 2 adapted, 2 skipped, 0 unusable",
+    ]
+
+
+def test_with_a_longer_queue_all_images_are_received_reliably_and_adapted_in_their_order(
+    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = make(queue_size=100)
+    assert node._image_sub.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+    waiting = [_image(2), _image(3)]
+    monkeypatch.setattr("gibson_path_following.nodes.goggles.pop_queue", lambda of: waiting if of is node._image_sub else ())
+    node._on_image(_image(1))
+    waiting.clear()
+    node._log_counts()
+    assert node.lines == ["images in 10 s: 3 received, 1 adapted, 0 skipped, 0 unusable, 2 waiting"]
+    while node._queue.waiting:
+        node._adapt_next()
+    assert [second for _, second, _ in _stamps(node)] == [1, 2, 3]
+
+
+def test_a_best_effort_publisher_is_named_where_images_must_be_reliable(make: Callable[..., Any]) -> None:
+    node = make(queue_size=7)
+    node._on_incompatible_qos(None)
+    assert node.lines == [
+        "the images on /camera/image_raw are published best effort, and queue_size 7 needs reliable ones; set it to 1, or the publisher's "
+        "reliability to reliable"
+    ]
+
+
+def _png(levels: Any, encoding: str) -> CompressedImage:
+    return CompressedImage(format=f"{encoding}; png compressed", data=cv2.imencode(".png", levels)[1].tobytes())
+
+
+GREY_16 = np.full((6, 10), 1000, np.uint16)
+DEEP = [
+    (Image(height=6, width=10, encoding="16UC1", step=20, data=GREY_16.tobytes()), "'16UC1'"),
+    (Image(height=6, width=10, encoding="32FC1", step=40, data=bytes(240)), "'32FC1'"),
+    (_png(GREY_16, "16UC1"), "'16UC1'"),
+    (_png(GREY_16, "mono16"), "'mono16'"),
+    (CompressedImage(format="png", data=_png(GREY_16, "").data), "'mono16'"),
+    (CompressedImage(format="32FC1; compressedDepth png", data=bytes(12) + bytes(_png(GREY_16, "").data)), "'32FC1'"),
+    (CompressedImage(format="16UC1; jpeg compressed mono8", data=cv2.imencode(".jpg", GREY_16 // 256)[1].tobytes()), "'16UC1'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("msg", "encoding"), DEEP)
+def test_depth_and_labels_are_refused_raw_and_compressed_alike(msg: Any, encoding: str) -> None:
+    line = f"^an image has the encoding {encoding}, that of depth and labels; choose the topic of the colour images$"
+    with pytest.raises(ViewError, match=line):
+        conversions.rgb_of(msg)
+
+
+def test_another_encoding_is_one_that_the_driver_can_change() -> None:
+    deep_colour = np.full((6, 10, 3), 1000, np.uint16)
+    for msg in (Image(height=6, width=10, encoding="rgb16", step=60, data=deep_colour.tobytes()), _png(deep_colour, "rgb16")):
+        with pytest.raises(
+            ViewError, match=r"an image has the encoding 'rgb16', must be one of .*; set it in the camera's driver"
+        ):
+            conversions.rgb_of(msg)
+
+
+def test_a_compressed_image_of_8_bits_is_used() -> None:
+    assert conversions.rgb_of(_png(np.full((6, 10, 3), (1, 2, 3), np.uint8), "bgr8"))[0, 0].tolist() == [3, 2, 1]
+    assert conversions.rgb_of(_png(np.full((6, 10), 7, np.uint8), "mono8"))[0, 0].tolist() == [7, 7, 7]
+
+
+# Topics
+
+
+@pytest.mark.parametrize(
+    ("topic", "name"),
+    [("goggles/image_raw", "image_raw"), ("/goggles/image_raw", "image_raw"), ("goggles/other", "camera_info")],
+)
+def test_its_own_output_is_refused_as_its_input(make: Callable[..., Any], topic: str, name: str) -> None:
+    with pytest.raises(
+        SettingError, match=f"image_topic is '{topic}', but /goggles/{name} is an output of this node; choose the topic of"
+    ):
+        make(image_topic=topic)
+
+
+def test_its_own_output_is_refused_when_it_is_remapped(make: Callable[..., Any]) -> None:
+    with pytest.raises(SettingError, match="is 'camera/image_raw', but /goggles/image_raw is an output of this node"):
+        make(("--ros-args", "-r", "camera/image_raw:=goggles/image_raw"))
+
+
+def test_a_topic_of_compressed_images_is_one_when_it_is_remapped(make: Callable[..., Any]) -> None:
+    assert make(("--ros-args", "-r", "camera/image_raw:=front/image_raw/compressed"))._image_sub.msg_type is CompressedImage
+    assert make(image_topic="front/image_raw/compressed")._image_sub.msg_type is CompressedImage
+    assert make()._image_sub.msg_type is Image
+
+
+def test_a_topic_of_another_type_is_named(context: Any) -> None:
+    node, lines = Node("watch", context=context), list[str]()
+    node.get_logger().warning = lambda text, **_: lines.append(text)
+    node.create_publisher(CompressedImage, "front", 1)
+    watch = ImageWatch(node, {"front": Image}, "parameter image_topic")
+    watch.warn()
+    watch.close()
+    node.destroy_node()
+    assert lines == [
+        "/front is published as sensor_msgs/msg/CompressedImage, this node subscribes to sensor_msgs/msg/Image there; choose another topic "
+        "with parameter image_topic: names that end in /compressed are sensor_msgs/msg/CompressedImage"
+    ]
