@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import AlreadyRunningError
-from gibson_sim.processes.domain_lock import DomainLock
+from gibson_sim.processes.domain_lock import DomainLock, is_held
 
 TAKE = "import sys; from gibson_sim.processes.domain_lock import DomainLock; DomainLock(int(sys.argv[1]))"
 NOBODY = 65534
@@ -46,6 +46,14 @@ def test_second_simulation_in_a_domain_is_refused_and_told_what_to_do(domain_id:
     lock.close()
     lock.close()
     DomainLock(domain_id).close()
+
+
+def test_tools_see_that_a_simulation_starts_in_a_domain(domain_id: int) -> None:
+    assert not is_held(domain_id)
+    lock = DomainLock(domain_id)
+    assert is_held(domain_id) and not is_held(int(str(domain_id)[:-1]))
+    lock.close()
+    assert not is_held(domain_id)
 
 
 def test_other_domain_is_free(domain_id: int, lock: DomainLock) -> None:

@@ -12,6 +12,7 @@ import os
 import pwd
 import socket
 import struct
+from pathlib import Path
 
 from gibson_sim.errors import AlreadyRunningError, EnvironmentProblemError
 
@@ -31,7 +32,7 @@ class DomainLock:
             AlreadyRunningError: another process holds it; the message names the process and its user.
             EnvironmentProblemError: this machine does not allow such a socket.
         """
-        name = f"\0gibson-sim-domain-{domain_id}"
+        name = f"\0{_name(domain_id)}"
         self._socket: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.bind(name)
@@ -49,6 +50,19 @@ class DomainLock:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
+
+
+def is_held(domain_id: int) -> bool:
+    """Returns whether a simulation of this machine holds the lock of a ROS domain: it runs or starts."""
+    try:
+        sockets = Path("/proc/net/unix").read_text(errors="replace").splitlines()
+    except OSError:
+        return False
+    return any(line.endswith(f" @{_name(domain_id)}") for line in sockets)
+
+
+def _name(domain_id: int) -> str:
+    return f"gibson-sim-domain-{domain_id}"
 
 
 def _refusal(domain_id: int, holder: tuple[int, int] | None) -> str:
