@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import signal
 import subprocess
 import sys
 import time
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from support.completion import completions
-from support.simulation import Launched, require
+from support.simulation import PATIENCE_S, Launched, require
 
 require("rclpy", "gibson_msgs")
 
@@ -55,6 +56,37 @@ def test_topics_are_listed_described_and_echoed() -> None:
     assert "/odom [nav_msgs/msg/Odometry]\n" in with_types[1]
     assert info == (0, "Type: nav_msgs/msg/Odometry\nPublisher count: 1\nSubscription count: 0\n")
     assert echo == (0, "base_scan\n---\n")
+
+
+def test_nodes_are_listed_and_described() -> None:
+    listed, info, missing = _run_together("node list", "node info physics", "node info /physic")
+    assert listed[0] == 0 and "/physics" in listed[1].split() and "_gibson_sim_tool" not in listed[1]
+    assert info[0] == 0 and info[1].startswith("/physics\n  Subscribers:\n    /cmd_vel: geometry_msgs/msg/Twist")
+    assert "    /odom: nav_msgs/msg/Odometry\n" in info[1].partition("  Publishers:\n")[2]
+    assert "    /simulate_steps: simulation_interfaces/action/SimulateSteps\n" in info[1].partition("  Action Servers:\n")[2]
+    assert missing == (1, "error: node '/physic' does not exist; did you mean '/physics'?\n")
+
+
+def test_a_measurement_that_is_interrupted_before_its_end_fails() -> None:
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "topic", "hz", "/odom"]
+    for options, code in ((("--seconds", "600"), -signal.SIGINT), ((), 0)):
+        process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "std dev" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=PATIENCE_S)[0] == "" and process.returncode == code
+
+
+def test_a_reader_that_ends_ends_a_tool_silently() -> None:
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "topic", "echo", "/odom"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.readline()
+    process.stdout.close()
+    with process.stderr:
+        assert process.stderr.read() == "" and process.wait(PATIENCE_S) == 0
 
 
 def test_latched_topics_are_echoed_to_who_comes_late() -> None:

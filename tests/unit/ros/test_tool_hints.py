@@ -7,7 +7,16 @@ from typing import Any
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.ros.tools.hints import check_name, missing_service, spawned_as, suggestion, type_and_values
+from gibson_sim.ros.tools.hints import (
+    PHYSICS,
+    RENDER,
+    check_name,
+    loading_nodes,
+    missing_service,
+    spawned_as,
+    suggestion,
+    type_and_values,
+)
 
 SIMULATION = {
     "/get_simulation_state": ["simulation_interfaces/srv/GetSimulationState"],
@@ -33,6 +42,21 @@ def test_a_standard_service_without_a_simulation_says_that_none_runs() -> None:
     others = {"/talker/get_parameters": [PARAMETERS]}
     assert _missing("/spawn_entity", "simulation_interfaces/srv/SpawnEntity", others) == expected
     assert _missing("/physics/get_parameters", PARAMETERS, {}) == expected
+
+
+def test_a_node_without_a_simulation_says_that_none_runs_beside_other_nodes() -> None:
+    others = {"/talker/get_parameters": [PARAMETERS]}
+    assert _missing("/physics/get_parameters", PARAMETERS, others) == (
+        "node '/physics' does not exist; no simulation runs in ROS domain 105; start one with `gibson-sim run`"
+    )
+    assert _missing("/talkr/get_parameters", PARAMETERS, others) == "node '/talkr' does not exist; did you mean '/talker'?"
+
+
+def test_only_the_nodes_of_a_simulation_by_their_exact_names_are_awaited_until_they_have_loaded() -> None:
+    present = ["/physics", "/lab/render", "/physics_watch", "/physics/logger", "/my_render"]
+    assert loading_nodes((PHYSICS, RENDER), present, set()) == ["/lab/render", "/physics"]
+    assert loading_nodes((PHYSICS,), present, set()) == ["/physics"]
+    assert loading_nodes((PHYSICS, RENDER), present, {"/physics"}) == ["/lab/render"]
 
 
 def test_a_wrong_service_of_a_simulation_suggests_the_nearest() -> None:

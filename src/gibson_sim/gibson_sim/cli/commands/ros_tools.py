@@ -1,4 +1,4 @@
-"""``gibson-sim topic``, ``service``, ``param``, ``action`` and short verbs: replacements of ``ros2`` commands for machines without it.
+"""``gibson-sim topic``, ``node``, ``service``, ``param``, ``action`` and short verbs: replacements of ``ros2`` commands for machines without it.
 
 Names, options and outputs are those of ``ros2``.
 """
@@ -19,6 +19,7 @@ _PLACE = "X,Y or X,Y,YAW on the map, m and degrees"
 def add_parser(subparsers: Any) -> None:
     """Adds all sub-commands of this module."""
     _add_topic(subparsers.add_parser("topic", help="list, info, echo, hz, bw, delay of topics, as with ros2"))
+    _add_node(subparsers.add_parser("node", help="list, info of nodes, as with ros2"))
     _add_service(subparsers.add_parser("service", help="list, type, call of services, as with ros2"))
     _add_param(subparsers.add_parser("param", help="list, get, set of parameters, as with ros2"))
     _add_action(subparsers.add_parser("action", help="list, send_goal of actions, as with ros2"))
@@ -65,6 +66,14 @@ def _refuse_pub(args: argparse.Namespace) -> int:
         "there is no `topic pub`: a robot stops when commands stop, so a single one moves it only for a moment; "
         "drive with `gibson-sim drive forward`, or with a file of lines `linear angular seconds`; send goals with `gibson-sim goal X,Y`"
     )
+
+
+def _add_node(parser: Any) -> None:
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
+    _finish(kinds.add_parser("list", help="names of all nodes"), "node list")
+    info = kinds.add_parser("info", help="topics, services and actions of a node")
+    info.add_argument("node")
+    _finish(info, "node info")
 
 
 def _add_service(parser: Any) -> None:

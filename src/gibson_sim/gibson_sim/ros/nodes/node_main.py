@@ -41,10 +41,15 @@ logger = logging.getLogger(__name__)
 ExecutorKind = Literal["auto", "events", "standard"]
 
 
-def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> None:
+def run_node(make_node: Callable[[], Any], args: list[str] | None = None, *, interrupted: int = 0) -> None:
     """Creates a node, calls its ``spin() -> exit code`` and finally its ``close()``.
 
     Ends the process with the node's exit code, or with 1 and one line on stderr for a user error.
+
+    Args:
+        make_node: creates the node.
+        args: ROS arguments; None = those of this process.
+        interrupted: exit code if a KeyboardInterrupt ends the creation of the node or its ``spin``.
     """
     logging.addLevelName(logging.WARNING, "WARN")  # as rclpy spells it
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
@@ -62,7 +67,7 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> Non
         try:
             code = _create_and_spin(make_node)
         except KeyboardInterrupt:
-            pass
+            code = interrupted
         except Exception:
             if not _signals.was_interrupted:
                 raise

@@ -1,1 +1,1 @@
-"""Commands ``gibson-sim topic``, ``service``, ``param``, ``action`` and the short verbs: the tools of ``ros2`` for machines without them."""
+"""Commands ``gibson-sim topic``, ``node``, ``service``, ``param``, ``action`` and the short verbs: those of ``ros2`` for machines without it."""

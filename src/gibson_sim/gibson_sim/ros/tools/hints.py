@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
@@ -14,6 +14,8 @@ _SIMILAR = 0.66
 _STANDARD, _STATE = "simulation_interfaces/srv/", "simulation_interfaces/srv/GetSimulationState"
 _PARAMETER_SERVICES = ("get_parameters", "set_parameters", "describe_parameters", "list_parameters")
 """Services that a node with parameters offers, below the name of the node."""
+PHYSICS, RENDER = "physics", "render"
+"""Names of the nodes of a simulation, without namespace."""
 
 
 _NAME = re.compile(r"(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*", re.ASCII)
@@ -34,6 +36,17 @@ def check_name(kind: str, name: str) -> None:
 def simulation_runs(services: Mapping[str, Iterable[str]]) -> bool:
     """Returns whether a simulation offers any of the services, given as service -> types."""
     return any(_STATE in types for types in services.values())
+
+
+def loading_nodes(awaited: Container[str], present: Iterable[str], loaded: Container[str]) -> list[str]:
+    """Returns the full names of the nodes of a simulation that load its scene, sorted.
+
+    Args:
+        awaited: names of nodes of a simulation, without namespaces.
+        present: full names of all nodes.
+        loaded: full names of the nodes that publish their settings: a node of a simulation does once its other topics exist.
+    """
+    return sorted(node for node in present if node.rpartition("/")[2] in awaited and node not in loaded)
 
 
 def no_simulation(domain: int, start: str) -> str:
@@ -72,10 +85,14 @@ def missing_service(name: str, kind: str, services: Mapping[str, Iterable[str]],
     node, _, last = name.rpartition("/")
     if last in _PARAMETER_SERVICES and kind.startswith("rcl_interfaces/"):
         nodes = [other.removesuffix(f"/{last}") for other in services if other.endswith(f"/{last}")]
-        listed = f"known: {', '.join(sorted(nodes)) or 'none'}"
-        return f"node {quoted(node)} does not exist; {suggestion(node, nodes, listed)}"
+        return missing_node(node, nodes, f"known: {', '.join(sorted(nodes))}" if runs else no_simulation(domain, start))
     otherwise = "see `gibson-sim service list`" if runs else no_simulation(domain, start)
     return f"no node offers the service {quoted(name)}; {suggestion(name, services, otherwise)}"
+
+
+def missing_node(node: str, nodes: Iterable[str], otherwise: str) -> str:
+    """Returns the message that a node does not exist; see ``suggestion``."""
+    return f"node {quoted(node)} does not exist; {suggestion(node, nodes, otherwise)}"
 
 
 def type_and_values(type: str, values: str) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""The program behind ``gibson-sim topic``, ``service``, ``param`` and ``action``: one command, given as JSON, with the output of ``ros2``."""
+"""The program behind ``gibson-sim topic``, ``node``, ``service``, ``param`` and ``action``: one command, given as JSON, printed as by ``ros2``."""
 
 from __future__ import annotations
 
@@ -8,26 +8,46 @@ import statistics
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
 from rcl_interfaces.msg import Parameter as ParameterMessage, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.action import ActionClient
-from rclpy.action.graph import get_action_names_and_types
+from rclpy.action.graph import (
+    get_action_client_names_and_types_by_node,
+    get_action_names_and_types,
+    get_action_server_names_and_types_by_node,
+)
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from gibson_sim import interrupts
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.errors import GibsonSimError, TextError
+from gibson_sim.processes.domain_lock import is_held
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_yaml
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
 from gibson_sim.ros.nodes.wait_for_simulation import start_hint
-from gibson_sim.ros.tools.hints import check_name, missing_service, no_simulation, simulation_runs, suggestion, type_and_values
+from gibson_sim.ros.tools.hints import (
+    PHYSICS,
+    RENDER,
+    check_name,
+    loading_nodes,
+    missing_node,
+    missing_service,
+    no_simulation,
+    simulation_runs,
+    suggestion,
+    type_and_values,
+)
 from gibson_sim.ros.tools.yaml_messages import field_of, fill, value_text, yaml_text
 from gibson_sim.ros.topics.discovery import DISCOVERY_S
+from gibson_sim.ros.topics.names import is_hidden
 from gibson_sim.ros.topics.silence import SilenceNotice
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.settings import nearest
@@ -35,12 +55,12 @@ from gibson_sim.types import NS_PER_S
 
 USUAL_DISCOVERY_S = 1.5
 """Time in which the nodes of a domain are usually discovered, s of wall time; if no packet is lost, see ``DISCOVERY_S``."""
-_LATE_DISCOVERY_S = 15.0
-"""Timeout for discovery on a busy machine, where the announcement of a participant may be lost and repeated seconds later, s of wall time."""
+_LOADING_S = 30.0
+"""Timeout for a simulation that is starting: its nodes are discovered and load the scene, s of wall time."""
 PATIENCE_S = 5.0
 """Timeout for the discovery of a name, s of wall time."""
 _MORE_TYPES_S = 0.3
-"""Time in which a discovered topic may turn out to have a second type, s of wall time."""
+"""Time in which a discovered topic may turn out to have a second type, and the last names of a loaded node arrive, s of wall time."""
 _WINDOW = 10_000
 """Number of messages in statistics, the newest ones, as in ``ros2 topic hz``."""
 
@@ -50,13 +70,26 @@ class Tool(Node):
 
     def __init__(self, arguments: dict[str, Any]) -> None:
         """Creates the node; ``arguments`` has ``command``, such as "topic echo", and the arguments of the command."""
-        super().__init__("gibson_sim_tool", start_parameter_services=False)
+        # A name that begins with _ is hidden, as that of ros2; the node offers no service, which lists would contain.
+        super().__init__(
+            "_gibson_sim_tool",
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
         self._arguments = arguments
+        self._start_s = time.monotonic()
         self._executor = make_executor()
         self._executor.add_node(self)
 
     def spin(self) -> int:
         """Executes the command; returns the exit code."""
+        try:
+            return self._execute()
+        except BrokenPipeError:  # `gibson-sim topic list | head`
+            sys.stderr.close()
+            return 0
+
+    def _execute(self) -> int:
         from gibson_sim.ros.tools.verbs import VERBS
 
         command = self._arguments.pop("command")
@@ -78,20 +111,73 @@ class Tool(Node):
         self._executor.shutdown()
 
     def spin_until(self, timeout_s: float, condition: Callable[[], bool] = lambda: False) -> bool:
-        """Spins until a condition holds, or for ``timeout_s`` of wall time; returns whether the condition holds."""
-        deadline = time.monotonic() + timeout_s
-        while is_running() and not condition() and (remaining := deadline - time.monotonic()) > 0:
-            self._executor.spin_once(timeout_sec=min(remaining, 0.05))
-        return condition()
+        """Spins until a condition holds, or for ``timeout_s`` of wall time; returns whether the condition holds.
 
-    def discover(self) -> None:
-        """Spins until the nodes of the domain are discovered: longer without a simulation, and longest if one is discovered in part."""
-        self.spin_until(USUAL_DISCOVERY_S)
-        runs = self.spin_until(DISCOVERY_S - USUAL_DISCOVERY_S, lambda: simulation_runs(self.offered_services()))
-        names = *self.get_node_names(), *self.known_services()
-        if not runs and any(name.lstrip("/").startswith("physics") for name in names):
-            self.spin_until(_LATE_DISCOVERY_S, lambda: simulation_runs(self.offered_services()))
-            self.spin_until(_MORE_TYPES_S)
+        Raises:
+            KeyboardInterrupt: the end of the process is requested; what is known until then is not a result.
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            if not is_running():
+                raise KeyboardInterrupt
+            if condition():
+                return True
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
+                return False
+            self._executor.spin_once(timeout_sec=min(remaining, 0.05))
+
+    def wait_for(self, awaited: str, condition: Callable[[], bool]) -> bool:
+        """Spins until a condition holds, for ``PATIENCE_S``, and reports that on stderr; returns whether the condition holds.
+
+        Args:
+            awaited: completes ``waiting for <awaited>``; empty = no report.
+            condition: condition that must hold.
+        """
+        if condition():
+            return True
+        if awaited:
+            _print_error(f"waiting for {awaited}")
+        return self.spin_until(PATIENCE_S, condition)
+
+    def discover(self, *awaited: str) -> None:
+        """Spins until the nodes of the domain are discovered: longer without a simulation, and longest while one is starting.
+
+        Args:
+            awaited: names of the nodes of a simulation that must have loaded the scene, if they are present.
+        """
+        self._discover_usually()
+        self.spin_until(DISCOVERY_S - USUAL_DISCOVERY_S, self.simulation_runs)
+        if loading := self.loading(*awaited):
+            _print_error(f"waiting for {loading}: the simulation is starting")
+            if self.spin_until(_LOADING_S, lambda: not self.loading(*awaited)):
+                self.spin_until(_MORE_TYPES_S)
+            else:
+                loading = self.loading(*awaited)
+                _print_error(f"{loading} has not loaded the scene after {_LOADING_S:.0f} s: names may be missing")
+
+    def _discover_usually(self) -> None:
+        """Spins until ``USUAL_DISCOVERY_S`` after the start of this node."""
+        self.spin_until(max(0.0, self._start_s + USUAL_DISCOVERY_S - time.monotonic()))
+
+    def simulation_runs(self) -> bool:
+        """Returns whether a simulation is discovered."""
+        return simulation_runs(self.offered_services())
+
+    def known_nodes(self) -> list[str]:
+        """Returns the full names of the discovered nodes, sorted, without hidden ones, such as this node."""
+        discovered = set(self.get_node_names_and_namespaces())
+        return sorted(_full_name(namespace, name) for name, namespace in discovered if not name.startswith("_"))
+
+    def loading(self, *awaited: str) -> str:
+        """Returns what of a simulation is starting: the full names of its nodes among ``awaited``; empty = nothing."""
+        topics = [topic for topic, kinds in self.known_topics().items() if "gibson_msgs/msg/RunInfo" in kinds]
+        publishers = [info for topic in topics for info in self.get_publishers_info_by_topic(topic)]
+        loaded = {_full_name(info.node_namespace, info.node_name) for info in publishers}
+        nodes = loading_nodes(awaited, {*self.known_nodes(), *_nodes_with_parameters(self)}, loaded)
+        if not nodes and awaited and not self.simulation_runs() and is_held(self.context.get_domain_id()):
+            return "the physics node"  # it is not discovered yet
+        return ", ".join(nodes)
 
     def known_topics(self) -> dict[str, list[str]]:
         """Returns topic -> types of the graph."""
@@ -110,11 +196,27 @@ class Tool(Node):
         services = self.offered_services()
         return GibsonSimError(missing_service(name, kind, services, domain=self.context.get_domain_id(), start=start_hint()))
 
-    def _topic_hint(self) -> str:
-        """Returns the hint for the user if no topic has a similar name."""
-        if simulation_runs(self.offered_services()):
-            return "see `gibson-sim topic list`"
-        return no_simulation(self.context.get_domain_id(), start_hint())
+    def missing_simulation(self) -> GibsonSimError:
+        """Returns the error that no simulation runs."""
+        return GibsonSimError(no_simulation(self.context.get_domain_id(), start_hint()))
+
+    def hint(self, listing: str) -> str:
+        """Returns the hint for the user if no other name is similar; ``listing`` is the command that lists the names."""
+        return f"see `gibson-sim {listing}`" if self.simulation_runs() else str(self.missing_simulation())
+
+    def find_topic(self, topic: str) -> str:
+        """Returns the full name of a topic, after it was discovered.
+
+        Raises:
+            GibsonSimError: the topic does not exist.
+        """
+        name = self.resolve_topic_name(topic)
+        if not self.spin_until(PATIENCE_S, lambda: name in self.known_topics()):
+            loading = self.loading(PHYSICS, RENDER)
+            hint = f"the simulation is starting, waiting for {loading}: try again in a few seconds" if loading else ""
+            hint = hint or suggestion(name, self.known_topics(), self.hint("topic list"))
+            raise GibsonSimError(f"topic {quoted(name)} has no publisher and no subscriber; {hint}")
+        return name
 
     def type_of(self, topic: str) -> tuple[str, str]:
         """Returns the full name and the type of a topic.
@@ -122,10 +224,7 @@ class Tool(Node):
         Raises:
             GibsonSimError: the topic does not exist, or has several types.
         """
-        name = self.resolve_topic_name(topic)
-        if not self.spin_until(PATIENCE_S, lambda: name in self.known_topics()):
-            hint = suggestion(name, self.known_topics(), self._topic_hint())
-            raise GibsonSimError(f"topic {quoted(name)} has no publisher and no subscriber; {hint}")
+        name = self.find_topic(topic)
         self.spin_until(_MORE_TYPES_S, lambda: len(self.known_topics()[name]) > 1)
         types = self.known_topics()[name]
         if len(types) > 1:
@@ -158,7 +257,11 @@ class Tool(Node):
         """
         client = self.create_client(kind, name)
         if not self.spin_until(PATIENCE_S, client.service_is_ready):
-            raise self.missing_service(self.resolve_service_name(name), _type_name(kind))
+            raise self.missing_service(client.srv_name, _type_name(kind))
+        return self.response(client, request)
+
+    def response(self, client: Any, request: Any) -> Any:
+        """Returns the response of the service of a client; raises GibsonSimError if it does not respond."""
         future = client.call_async(request)
         if not self.spin_until(60.0, future.done):
             raise GibsonSimError(f"the service {quoted(client.srv_name)} did not respond within 60 s")
@@ -169,6 +272,28 @@ def _type_name(kind: Any) -> str:
     """Returns the name of a service class, such as ``std_srvs/srv/Trigger``."""
     package, part, *_ = kind.__module__.split(".")
     return f"{package}/{part}/{kind.__name__}"
+
+
+def _full_name(namespace: str, name: str) -> str:
+    """Returns the full name of a node, such as ``/robot_1/driver``."""
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+def _print_names(tool: Tool, names: Collection[str]) -> None:
+    """Prints names, one per line.
+
+    Raises:
+        GibsonSimError: there is none, and no simulation runs.
+    """
+    if not names and not tool.simulation_runs():
+        raise tool.missing_simulation()
+    for name in names:
+        _print(name)
+
+
+def _with_types(names: Mapping[str, list[str]], types: bool) -> list[str]:
+    """Returns the sorted names, each with its types on request."""
+    return [f"{name} [{', '.join(kinds)}]" if types else name for name, kinds in sorted(names.items())]
 
 
 def _print(text: str = "") -> None:
@@ -186,17 +311,15 @@ def _print_error(text: str) -> None:
 
 def topic_list(tool: Tool, types: bool = False) -> None:
     """Prints the names of all topics, one per line."""
-    tool.discover()
-    for name, kinds in sorted(tool.known_topics().items()):
-        _print(f"{name} [{', '.join(kinds)}]" if types else name)
+    tool.discover(PHYSICS, RENDER)
+    is_alone = not tool.known_nodes()  # the topics are those of this node
+    _print_names(tool, [] if is_alone else _with_types(tool.known_topics(), types))
 
 
 def topic_info(tool: Tool, topic: str, verbose: bool = False) -> None:
     """Prints the type of a topic, and the numbers of its publishers and subscriptions."""
-    tool.discover()
-    name = tool.resolve_topic_name(topic)
-    if not tool.spin_until(PATIENCE_S, lambda: name in tool.known_topics()):
-        tool.type_of(topic)
+    name = tool.find_topic(topic)
+    tool.discover(PHYSICS, RENDER)
     _print(f"Type: {', '.join(tool.known_topics()[name])}")
     for label, infos in (
         ("Publisher", tool.get_publishers_info_by_topic(name)),
@@ -205,27 +328,28 @@ def topic_info(tool: Tool, topic: str, verbose: bool = False) -> None:
         _print(f"{label} count: {len(infos)}")
         for info in infos if verbose else ():
             profile = info.qos_profile
-            _print(
-                f"  node {info.node_namespace.rstrip('/')}/{info.node_name}: {profile.reliability.name}, {profile.durability.name}"
-            )
+            node = _full_name(info.node_namespace, info.node_name)
+            _print(f"  node {node}: {profile.reliability.name}, {profile.durability.name}")
 
 
-def topic_echo(tool: Tool, topic: str, once: bool = False, field: str = "", full: bool = False) -> None:
-    """Prints messages as YAML, each followed by ``---``."""
+def topic_echo(tool: Tool, topic: str, once: bool = False, field: str = "", full: bool = False) -> int:
+    """Prints messages as YAML, each followed by ``---``; returns 130 if Ctrl-C ends it before the first."""
     received: deque[Any] = deque()
     # rclpy inspects the signature, which ``deque.append`` does not have.
     name, _ = tool.subscribe(topic, lambda message: received.append(message))
     silence = _silence(tool, name)
-    while is_running():
-        tool.spin_until(0.2, lambda: bool(received))
-        if received:
-            silence.end()
-        silence.check(time.monotonic())
-        while received:
-            message = received.popleft()
-            _print((value_text(field_of(message, field), whole=full) if field else yaml_text(message, whole=full)) + "---")
-            if once:
-                return
+    printed = False
+    with suppress(KeyboardInterrupt):
+        while not (once and printed):
+            tool.spin_until(0.2, lambda: bool(received))
+            if received:
+                silence.end()
+            silence.check(time.monotonic())
+            while received and not (once and printed):
+                message = received.popleft()
+                _print((value_text(field_of(message, field), whole=full) if field else yaml_text(message, whole=full)) + "---")
+                printed = True
+    return 0 if printed else interrupts.INTERRUPTED
 
 
 def _silence(tool: Tool, topic: str) -> SilenceNotice:
@@ -240,32 +364,45 @@ def _silence(tool: Tool, topic: str) -> SilenceNotice:
     return SilenceNotice(tool, _print_error, reason, time.monotonic())
 
 
-def _statistics(tool: Tool, topic: str, report: Callable[[deque[tuple[float, int, int]]], str], seconds: float) -> int:
-    """Subscribes, and prints a report each second for ``seconds`` (0 = until Ctrl-C); returns 1 if fewer than two messages arrived.
+def _measure(tool: Tool, topic: str, samples: deque[Any], report: Callable[[], str], seconds: float) -> int:
+    """Prints a report each second for ``seconds`` of wall time (0 = until Ctrl-C); returns the exit code.
 
-    ``report`` gets the arrival time (monotonic, s), the size (bytes) and the arrival time (ns of wall time) of each message.
+    Args:
+        tool: node that receives the messages.
+        topic: full name of the topic.
+        samples: one for each received message.
+        report: returns the text to print; empty = there are too few samples.
+        seconds: duration.
+
+    Returns:
+        1 without a report; 130 if Ctrl-C ends it before the duration, or before the first report.
     """
-    received: deque[tuple[float, int, int]] = deque(maxlen=_WINDOW)
-
-    def on_message(data: bytes) -> None:
-        received.append((time.monotonic(), len(data), time.time_ns()))
-
-    name, _ = tool.subscribe(topic, on_message, raw=True)
-    silence = _silence(tool, name)
+    silence = _silence(tool, topic)
     deadline = time.monotonic() + seconds if seconds else math.inf
-    while is_running() and time.monotonic() < deadline:
-        tool.spin_until(1.0)
-        if received:
-            silence.end()
-        silence.check(time.monotonic())
-        _print(report(received) if len(received) > 1 else f"no new messages on {name}")
-    return 0 if len(received) > 1 else 1
+    text = ""
+    with suppress(KeyboardInterrupt):
+        while time.monotonic() < deadline:
+            tool.spin_until(1.0)
+            if samples:
+                silence.end()
+            silence.check(time.monotonic())
+            text = report()
+            _print(text or f"no new messages on {topic}")
+        return 0 if text else 1
+    return 0 if text and not seconds else interrupts.INTERRUPTED
+
+
+def _statistics(tool: Tool, topic: str, report: Callable[[deque[tuple[float, int]]], str], seconds: float) -> int:
+    """Subscribes, and measures, see ``_measure``; ``report`` gets the arrival time (monotonic, s) and the size (bytes) of each message."""
+    received: deque[tuple[float, int]] = deque(maxlen=_WINDOW)
+    name, _ = tool.subscribe(topic, lambda data: received.append((time.monotonic(), len(data))), raw=True)
+    return _measure(tool, name, received, lambda: report(received) if len(received) > 1 else "", seconds)
 
 
 def topic_hz(tool: Tool, topic: str, seconds: float = 0.0) -> int:
     """Prints the rate of a topic, by wall time, each second."""
 
-    def report(received: deque[tuple[float, int, int]]) -> str:
+    def report(received: deque[tuple[float, int]]) -> str:
         times = [arrival for arrival, *_ in received]
         gaps = [b - a for a, b in pairwise(times)]
         mean = statistics.fmean(gaps)
@@ -280,8 +417,8 @@ def topic_hz(tool: Tool, topic: str, seconds: float = 0.0) -> int:
 def topic_bw(tool: Tool, topic: str, seconds: float = 0.0) -> int:
     """Prints the bandwidth of a topic, by wall time, each second."""
 
-    def report(received: deque[tuple[float, int, int]]) -> str:
-        sizes = [size for _, size, _ in received]
+    def report(received: deque[tuple[float, int]]) -> str:
+        sizes = [size for _, size in received]
         elapsed = max(1e-9, received[-1][0] - received[0][0])
         mean = statistics.fmean(sizes)
         return (
@@ -307,22 +444,16 @@ def topic_delay(tool: Tool, topic: str, seconds: float = 0.0) -> int:
         now = clock[0][0] + (time.monotonic_ns() - clock[0][1]) if clock else time.time_ns()
         delays.append((now - stamp_ns(data)) / NS_PER_S)
 
+    def report() -> str:
+        if not delays:
+            return ""
+        return (
+            f"average delay: {statistics.fmean(delays):.3f}\n\tmin: {min(delays):.3f}s max: {max(delays):.3f}s "
+            f"std dev: {statistics.pstdev(delays):.5f}s window: {len(delays)}"
+        )
+
     tool.subscribe(topic, on_message, raw=True)
-    silence = _silence(tool, name)
-    deadline = time.monotonic() + seconds if seconds else math.inf
-    while is_running() and time.monotonic() < deadline:
-        tool.spin_until(1.0)
-        if delays:
-            silence.end()
-        silence.check(time.monotonic())
-        if delays:
-            _print(
-                f"average delay: {statistics.fmean(delays):.3f}\n\tmin: {min(delays):.3f}s max: {max(delays):.3f}s "
-                f"std dev: {statistics.pstdev(delays):.5f}s window: {len(delays)}"
-            )
-        else:
-            _print(f"no new messages on {name}")
-    return 0 if delays else 1
+    return _measure(tool, name, delays, report, seconds)
 
 
 def _bytes(number: float) -> str:
@@ -333,14 +464,44 @@ def _bytes(number: float) -> str:
     return f"{number:.2f} GB"
 
 
+# Nodes
+
+
+def node_list(tool: Tool) -> None:
+    """Prints the full names of all nodes, one per line."""
+    tool.discover(PHYSICS)
+    _print_names(tool, tool.known_nodes())
+
+
+def node_info(tool: Tool, node: str) -> None:
+    """Prints the topics, services and actions of a node, with their types."""
+    full_name = _node_name(node)
+    if not tool.spin_until(PATIENCE_S, lambda: full_name in tool.known_nodes()):
+        raise GibsonSimError(missing_node(full_name, tool.known_nodes(), tool.hint("node list")))
+    tool.discover(PHYSICS, RENDER)
+    namespace, _, name = full_name.rpartition("/")
+    _print(full_name)
+    for label, listed in (
+        ("Subscribers", tool.get_subscriber_names_and_types_by_node(name, namespace or "/")),
+        ("Publishers", tool.get_publisher_names_and_types_by_node(name, namespace or "/")),
+        ("Service Servers", tool.get_service_names_and_types_by_node(name, namespace or "/")),
+        ("Service Clients", tool.get_client_names_and_types_by_node(name, namespace or "/")),
+        ("Action Servers", get_action_server_names_and_types_by_node(tool, name, namespace or "/")),
+        ("Action Clients", get_action_client_names_and_types_by_node(tool, name, namespace or "/")),
+    ):
+        _print(f"  {label}:")
+        for entry, kinds in sorted(listed):
+            if not is_hidden(entry):
+                _print(f"    {entry}: {', '.join(kinds)}")
+
+
 # Services
 
 
 def service_list(tool: Tool, types: bool = False) -> None:
     """Prints the names of all services, one per line."""
-    tool.discover()
-    for name, kinds in sorted(tool.known_services().items()):
-        _print(f"{name} [{', '.join(kinds)}]" if types else name)
+    tool.discover(PHYSICS)
+    _print_names(tool, _with_types(tool.known_services(), types))
 
 
 def service_type(tool: Tool, service: str) -> None:
@@ -355,14 +516,19 @@ def service_call(tool: Tool, service: str, type: str = "", values: str = "") -> 
     """Calls a service with YAML values; returns 1 if its response reports a failure."""
     name = tool.resolve_service_name(service)
     type, values = type_and_values(type, values)
+    parsed = _yaml(values)
+    awaited = f"the service {quoted(name)}"
     if not type:
-        if not tool.spin_until(PATIENCE_S, lambda: name in tool.known_services()):
+        if not tool.wait_for(awaited, lambda: name in tool.offered_services()):
             raise tool.missing_service(name)
-        type = tool.known_services()[name][0]
+        type, awaited = tool.known_services()[name][0], ""
     kind = _service_class(type)
-    request = fill(kind.Request(), _yaml(values))
+    request = fill(kind.Request(), parsed)
+    client = tool.create_client(kind, name)
+    if not tool.wait_for(awaited, client.service_is_ready):
+        raise tool.missing_service(name, type)
     _print(f"requester: making request: {request}\n")
-    response = tool.call(service, kind, request)
+    response = tool.response(client, request)
     _print("response:\n" + yaml_text(response, whole=True))
     result = getattr(response, "result", None)
     return 1 if getattr(response, "success", True) is False or getattr(result, "result", 1) not in (1, True) else 0
@@ -390,8 +556,14 @@ def _yaml(text: str) -> Any:
 
 def param_list(tool: Tool, node: str = "") -> None:
     """Prints the parameters of a node, or of all nodes."""
-    tool.discover()
-    for node_name in [_node_name(node)] if node else _nodes_with_parameters(tool):
+    if node:
+        node_names = [_node_name(node)]
+    else:
+        tool.discover(PHYSICS, RENDER)  # a node that loads the scene does not respond
+        node_names = _nodes_with_parameters(tool)
+        if not node_names and not tool.simulation_runs():
+            raise tool.missing_simulation()
+    for node_name in node_names:
         _print(f"{node_name}:\n" + "\n".join(f"  {name}" for name in _parameters(tool, node_name)))
 
 
@@ -401,7 +573,7 @@ _LIST_SUFFIX = "/list_parameters"
 def _nodes_with_parameters(tool: Tool) -> list[str]:
     """Returns the full names of the discovered nodes that have parameter services."""
     kind = "rcl_interfaces/srv/ListParameters"
-    services = tool.known_services().items()
+    services = tool.offered_services().items()
     return sorted(name.removesuffix(_LIST_SUFFIX) for name, kinds in services if name.endswith(_LIST_SUFFIX) and kind in kinds)
 
 
@@ -488,17 +660,17 @@ def _node_name(node: str) -> str:
 
 def action_list(tool: Tool, types: bool = False) -> None:
     """Prints the names of all actions, one per line."""
-    tool.discover()
-    for name, kinds in sorted(get_action_names_and_types(tool)):
-        _print(f"{name} [{', '.join(kinds)}]" if types else name)
+    tool.discover(PHYSICS)
+    _print_names(tool, _with_types(dict(get_action_names_and_types(tool)), types))
 
 
 def action_send_goal(tool: Tool, action: str, type: str, values: str = "", feedback: bool = False) -> int:
-    """Sends a goal, waits for its end, and prints its result; returns 1 if it did not succeed, 130 if it was interrupted."""
+    """Sends a goal, waits for its end, and prints its result; returns 1 if it did not succeed."""
     kind = _service_class(type)
     client = ActionClient(tool, kind, action)
-    if not tool.spin_until(PATIENCE_S, client.server_is_ready):
-        raise GibsonSimError(f"no node offers the action {quoted(action)}; see `gibson-sim action list`")
+    if not tool.wait_for(f"the action {quoted(action)}", client.server_is_ready):
+        known = [name for name, _ in get_action_names_and_types(tool)]
+        raise GibsonSimError(f"no node offers the action {quoted(action)}; {suggestion(action, known, tool.hint('action list'))}")
     goal = fill(kind.Goal(), _yaml(values))
     _print(f"Sending goal:\n{yaml_text(goal, whole=True)}")
     on_feedback = (lambda message: _print("Feedback:\n" + yaml_text(message.feedback))) if feedback else None
@@ -508,10 +680,7 @@ def action_send_goal(tool: Tool, action: str, type: str, values: str = "", feedb
     if handle is None or not handle.accepted:
         raise GibsonSimError(f"the goal was not accepted by {action}")
     future = handle.get_result_async()
-    while is_running() and not tool.spin_until(1.0, future.done):
-        pass
-    if not future.done():
-        return 130
+    tool.spin_until(math.inf, future.done)
     result = future.result()
     _print(
         f"Result:\n{yaml_text(result.result, whole=True)}\nGoal finished with status: {_STATUS.get(result.status, result.status)}"
@@ -523,7 +692,8 @@ def action_send_goal(tool: Tool, action: str, type: str, values: str = "", feedb
 _STATUS = {4: "SUCCEEDED", 5: "CANCELED", 6: "ABORTED"}
 _COMMANDS: dict[str, Callable[..., int | None]] = {
     "topic list": topic_list, "topic info": topic_info, "topic echo": topic_echo, "topic hz": topic_hz, "topic bw": topic_bw,
-    "topic delay": topic_delay, "service list": service_list, "service type": service_type, "service call": service_call,
+    "topic delay": topic_delay, "node list": node_list, "node info": node_info, "service list": service_list,
+    "service type": service_type, "service call": service_call,
     "param list": param_list, "param get": param_get, "param set": param_set, "action list": action_list,
     "action send_goal": action_send_goal,
 }  # fmt: skip
@@ -532,7 +702,12 @@ _COMMANDS: dict[str, Callable[..., int | None]] = {
 def main() -> None:
     """Executes the command in the JSON on the command line."""
     arguments = json.loads(sys.argv[1])
-    run_node(lambda: Tool(arguments), [])
+    try:
+        run_node(lambda: Tool(arguments), [], interrupted=interrupts.INTERRUPTED)
+    except SystemExit as end:
+        if end.code == interrupts.INTERRUPTED:
+            interrupts.die()
+        raise
 
 
 if __name__ == "__main__":
