@@ -18,13 +18,14 @@ import rclpy  # noqa: E402
 
 from gibson_sim.errors import GibsonSimError  # noqa: E402
 from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
-from gibson_sim.ros.tools import main as tools  # noqa: E402
+from gibson_sim.ros.tools import nodes, topics  # noqa: E402
+from gibson_sim.ros.tools.tool import PATIENCE_S as TOPIC_PATIENCE_S, USUAL_DISCOVERY_S, Tool  # noqa: E402
 from gibson_sim.ros.topics.discovery import DISCOVERY_S  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_domain")]
 
 
-class Counting(tools.Tool):
+class Counting(Tool):
     """Counts the seconds that it would wait in vain, and does not wait."""
 
     waited_s = 0.0
@@ -42,7 +43,7 @@ class Counting(tools.Tool):
 def tool(ros_domain: int) -> Iterator[Counting]:
     """A tool in this process."""
     rclpy.init(args=[])
-    tool = Counting({})
+    tool = Counting(lambda tool: 0)
     yield tool
     tool.close()
     tool.destroy_node()
@@ -62,12 +63,18 @@ def _run(words: str) -> tuple[int, str, str]:
 
 
 def test_all_tools_say_in_one_line_that_no_simulation_runs(ros_domain: int) -> None:
-    commands = (
-        "topic list", "topic info /scan", "topic echo /scan", "node list", "node info /physics", "service list", "param list",
-        "param list /physics", "param get /physics rate", "action list", "pause",
+    reading = (
+        "topic list", "topic info /scan", "topic echo /scan", "node list", "node info /physics", "service list", "param list", "action list",
     )  # fmt: skip
-    with ThreadPoolExecutor(4) as pool:
-        results = dict(zip(commands, pool.map(_run, commands), strict=True))
+    calling = (
+        "param list /physics",
+        "param get /physics rate",
+        "pause",
+    )  # later: service list contains services that have clients only
+    results = {}
+    for commands in (reading, calling):
+        with ThreadPoolExecutor(4) as pool:
+            results |= dict(zip(commands, pool.map(_run, commands), strict=True))
     hint = f"no simulation runs in ROS domain {ros_domain}; start one with `gibson-sim run`"
     assert [
         (command, result)
@@ -93,16 +100,16 @@ def test_ctrl_c_while_a_tool_waits_prints_nothing_more_and_is_no_result() -> Non
 
 def test_a_missing_topic_is_awaited_once(tool: Counting) -> None:
     with pytest.raises(GibsonSimError, match="topic '/nothing' has no publisher"):
-        tools.topic_info(tool, "/nothing")
-    assert tool.waited_s == tools.PATIENCE_S
+        topics.topic_info(tool, "/nothing")
+    assert tool.waited_s == TOPIC_PATIENCE_S
 
 
 def test_a_node_is_not_awaited_because_its_name_begins_like_that_of_a_simulation(
     tool: Counting, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(tool, "known_nodes", lambda: ["/physics_watch"])
-    tools.node_list(tool)
-    assert tool.waited_s == pytest.approx(DISCOVERY_S - tools.USUAL_DISCOVERY_S)
+    nodes.node_list(tool)
+    assert tool.waited_s == pytest.approx(DISCOVERY_S - USUAL_DISCOVERY_S)
     assert capsys.readouterr() == ("/physics_watch\n", "")
 
 
@@ -110,11 +117,11 @@ def test_a_simulation_that_loads_its_scene_is_awaited(
     tool: Counting, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(tool, "known_nodes", lambda: ["/physics", "/render"])
-    tools.topic_list(tool)
+    topics.topic_list(tool)
     errors = capsys.readouterr().err
     assert errors.startswith("waiting for /physics, /render: the simulation is starting\n") and "names may be missing" in errors
     with pytest.raises(GibsonSimError, match="the simulation is starting, waiting for /physics, /render: try again"):
-        tools.topic_info(tool, "/camera/image_raw")
+        topics.topic_info(tool, "/camera/image_raw")
 
 
 def test_a_simulation_that_is_not_discovered_yet_is_awaited(
@@ -123,7 +130,7 @@ def test_a_simulation_that_is_not_discovered_yet_is_awaited(
     lock = DomainLock(ros_domain)
     try:
         with pytest.raises(GibsonSimError, match="no simulation runs"):
-            tools.topic_list(tool)
+            topics.topic_list(tool)
     finally:
         lock.close()
     assert capsys.readouterr().err.startswith("waiting for the physics node: the simulation is starting\n")

@@ -9,7 +9,7 @@ from rcl_interfaces.srv import ListParameters
 from rclpy.action.graph import get_action_names_and_types
 from simulation_interfaces.srv import GetEntities
 
-from gibson_sim.ros.tools.main import USUAL_DISCOVERY_S, Tool
+from gibson_sim.ros.tools.tool import USUAL_DISCOVERY_S, Tool
 
 _STEADY_S = 0.3
 """Time without a new topic or service after which discovery counts as complete, s of wall time."""

@@ -16,7 +16,7 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.client.requests import flat_pose
 from gibson_sim.ros.client.standard_services import StandardServices
 from gibson_sim.ros.tools.hints import simulation_runs, spawned_as
-from gibson_sim.ros.tools.main import Tool
+from gibson_sim.ros.tools.tool import Tool
 from gibson_sim.ros.topics import names
 from gibson_sim.scenes.spawning import built_in_spawnables, spawn_name
 from gibson_sim.types import WORLD_FRAME

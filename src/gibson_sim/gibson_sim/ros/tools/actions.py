@@ -1,0 +1,50 @@
+"""``gibson-sim action``: list, send_goal."""
+
+from __future__ import annotations
+
+import math
+
+from rclpy.action import ActionClient
+from rclpy.action.graph import get_action_names_and_types
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.quoting import quoted
+from gibson_sim.ros.tools.arguments import interface_class, parse_values
+from gibson_sim.ros.tools.hints import PHYSICS, suggestion
+from gibson_sim.ros.tools.listing import print_names, with_types
+from gibson_sim.ros.tools.output import print_line
+from gibson_sim.ros.tools.tool import Tool
+from gibson_sim.ros.tools.yaml_messages import fill, yaml_text
+
+_STATUS = {4: "SUCCEEDED", 5: "CANCELED", 6: "ABORTED"}
+
+
+def action_list(tool: Tool, types: bool = False) -> None:
+    """Prints the names of all actions, one per line."""
+    tool.discover(PHYSICS)
+    print_names(tool, with_types(dict(get_action_names_and_types(tool)), types))
+
+
+def action_send_goal(tool: Tool, action: str, type: str, values: str = "", feedback: bool = False) -> int:
+    """Sends a goal, waits for its end, and prints its result; returns 1 if it did not succeed."""
+    kind = interface_class(type)
+    client = ActionClient(tool, kind, action)
+    if not tool.wait_for(f"the action {quoted(action)}", client.server_is_ready):
+        known = [name for name, _ in get_action_names_and_types(tool)]
+        raise GibsonSimError(f"no node offers the action {quoted(action)}; {suggestion(action, known, tool.hint('action list'))}")
+    goal = fill(kind.Goal(), parse_values(values))
+    print_line(f"Sending goal:\n{yaml_text(goal, whole=True)}")
+    on_feedback = (lambda message: print_line("Feedback:\n" + yaml_text(message.feedback))) if feedback else None
+    acceptance = client.send_goal_async(goal, feedback_callback=on_feedback)
+    tool.spin_until(60.0, acceptance.done)
+    handle = acceptance.result() if acceptance.done() else None
+    if handle is None or not handle.accepted:
+        raise GibsonSimError(f"the goal was not accepted by {action}")
+    future = handle.get_result_async()
+    tool.spin_until(math.inf, future.done)
+    result = future.result()
+    print_line(
+        f"Result:\n{yaml_text(result.result, whole=True)}\nGoal finished with status: {_STATUS.get(result.status, result.status)}"
+    )
+    client.destroy()
+    return 0 if result.status == 4 else 1

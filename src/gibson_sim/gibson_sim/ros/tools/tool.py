@@ -1,0 +1,232 @@
+"""The node that executes a command, and what it discovers of its ROS domain."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.processes.domain_lock import is_held
+from gibson_sim.quoting import quoted
+from gibson_sim.ros.nodes.node_main import is_running, make_executor
+from gibson_sim.ros.nodes.wait_for_simulation import start_hint
+from gibson_sim.ros.tools.hints import PHYSICS, RENDER, loading_nodes, missing_service, no_simulation, simulation_runs, suggestion
+from gibson_sim.ros.tools.output import print_error
+from gibson_sim.ros.topics.discovery import DISCOVERY_S
+from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, type_name_of
+
+USUAL_DISCOVERY_S = 1.5
+"""Time in which the nodes of a domain are usually discovered, s of wall time; if no packet is lost, see ``DISCOVERY_S``."""
+_LOADING_S = 30.0
+"""Timeout for a simulation that is starting: its nodes are discovered and load the scene, s of wall time."""
+PATIENCE_S = 5.0
+"""Timeout for the discovery of a name, s of wall time."""
+_MORE_TYPES_S = 0.3
+"""Time in which a discovered topic may turn out to have a second type, and the last names of a loaded node arrive, s of wall time."""
+LIST_PARAMETERS = "/list_parameters"
+"""End of the name of a service that each node with parameters offers."""
+
+
+class Tool(Node):
+    """A node that executes one command, after it has waited for discovery."""
+
+    def __init__(self, execute: Callable[[Tool], int]) -> None:
+        """Creates the node; ``execute`` executes the command, and returns the exit code."""
+        # A name that begins with _ is hidden, as that of ros2; the node offers no service, which lists would contain.
+        super().__init__(
+            "_gibson_sim_tool",
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        self._execute = execute
+        self._start_s = time.monotonic()
+        self._executor = make_executor()
+        self._executor.add_node(self)
+
+    def spin(self) -> int:
+        """Executes the command; returns the exit code."""
+        try:
+            return self._execute(self)
+        except BrokenPipeError:  # `gibson-sim topic list | head`
+            sys.stderr.close()
+            return 0
+
+    def close(self) -> None:
+        """Shuts the executor down."""
+        self._executor.shutdown()
+
+    def spin_until(self, timeout_s: float, condition: Callable[[], bool] = lambda: False) -> bool:
+        """Spins until a condition holds, or for ``timeout_s`` of wall time; returns whether the condition holds.
+
+        Raises:
+            KeyboardInterrupt: the end of the process is requested; what is known until then is not a result.
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            if not is_running():
+                raise KeyboardInterrupt
+            if condition():
+                return True
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
+                return False
+            self._executor.spin_once(timeout_sec=min(remaining, 0.05))
+
+    def wait_for(self, awaited: str, condition: Callable[[], bool]) -> bool:
+        """Spins until a condition holds, for ``PATIENCE_S``, and reports that on stderr; returns whether the condition holds.
+
+        Args:
+            awaited: completes ``waiting for <awaited>``; empty = no report.
+            condition: condition that must hold.
+        """
+        if condition():
+            return True
+        if awaited:
+            print_error(f"waiting for {awaited}")
+        return self.spin_until(PATIENCE_S, condition)
+
+    def discover(self, *awaited: str) -> None:
+        """Spins until the nodes of the domain are discovered: longer without a simulation, and longest while one is starting.
+
+        Args:
+            awaited: names of the nodes of a simulation that must have loaded the scene, if they are present.
+        """
+        self._discover_usually()
+        self.spin_until(DISCOVERY_S - USUAL_DISCOVERY_S, self.simulation_runs)
+        if loading := self.loading(*awaited):
+            print_error(f"waiting for {loading}: the simulation is starting")
+            if self.spin_until(_LOADING_S, lambda: not self.loading(*awaited)):
+                self.spin_until(_MORE_TYPES_S)
+            else:
+                loading = self.loading(*awaited)
+                print_error(f"{loading} has not loaded the scene after {_LOADING_S:.0f} s: names may be missing")
+
+    def _discover_usually(self) -> None:
+        """Spins until ``USUAL_DISCOVERY_S`` after the start of this node."""
+        self.spin_until(max(0.0, self._start_s + USUAL_DISCOVERY_S - time.monotonic()))
+
+    def simulation_runs(self) -> bool:
+        """Returns whether a simulation is discovered."""
+        return simulation_runs(self.offered_services())
+
+    def known_nodes(self) -> list[str]:
+        """Returns the full names of the discovered nodes, sorted, without hidden ones, such as this node."""
+        discovered = set(self.get_node_names_and_namespaces())
+        return sorted(full_name(namespace, name) for name, namespace in discovered if not name.startswith("_"))
+
+    def nodes_with_parameters(self) -> list[str]:
+        """Returns the full names of the discovered nodes that have parameter services."""
+        kind = "rcl_interfaces/srv/ListParameters"
+        services = self.offered_services().items()
+        return sorted(
+            name.removesuffix(LIST_PARAMETERS) for name, kinds in services if name.endswith(LIST_PARAMETERS) and kind in kinds
+        )
+
+    def loading(self, *awaited: str) -> str:
+        """Returns what of a simulation is starting: the full names of its nodes among ``awaited``; empty = nothing."""
+        topics = [topic for topic, kinds in self.known_topics().items() if "gibson_msgs/msg/RunInfo" in kinds]
+        publishers = [info for topic in topics for info in self.get_publishers_info_by_topic(topic)]
+        loaded = {full_name(info.node_namespace, info.node_name) for info in publishers}
+        nodes = loading_nodes(awaited, {*self.known_nodes(), *self.nodes_with_parameters()}, loaded)
+        if not nodes and awaited and not self.simulation_runs() and is_held(self.context.get_domain_id()):
+            return "the physics node"  # it is not discovered yet
+        return ", ".join(nodes)
+
+    def known_topics(self) -> dict[str, list[str]]:
+        """Returns topic -> types of the graph."""
+        return dict(self.get_topic_names_and_types())
+
+    def known_services(self) -> dict[str, list[str]]:
+        """Returns service -> types of the graph."""
+        return dict(self.get_service_names_and_types())
+
+    def offered_services(self) -> dict[str, list[str]]:
+        """Returns service -> types of the services that nodes offer; the graph also contains services that have clients only."""
+        return {name: types for name, types in self.known_services().items() if self.count_services(name)}
+
+    def missing_service(self, name: str, kind: str = "") -> GibsonSimError:
+        """Returns the error for a service that no node offers; ``name`` is its full name, ``kind`` its type, if it is known."""
+        services = self.offered_services()
+        return GibsonSimError(missing_service(name, kind, services, domain=self.context.get_domain_id(), start=start_hint()))
+
+    def missing_simulation(self) -> GibsonSimError:
+        """Returns the error that no simulation runs."""
+        return GibsonSimError(no_simulation(self.context.get_domain_id(), start_hint()))
+
+    def hint(self, listing: str) -> str:
+        """Returns the hint for the user if no other name is similar; ``listing`` is the command that lists the names."""
+        return f"see `gibson-sim {listing}`" if self.simulation_runs() else str(self.missing_simulation())
+
+    def find_topic(self, topic: str) -> str:
+        """Returns the full name of a topic, after it was discovered.
+
+        Raises:
+            GibsonSimError: the topic does not exist.
+        """
+        name = self.resolve_topic_name(topic)
+        if not self.spin_until(PATIENCE_S, lambda: name in self.known_topics()):
+            loading = self.loading(PHYSICS, RENDER)
+            hint = f"the simulation is starting, waiting for {loading}: try again in a few seconds" if loading else ""
+            hint = hint or suggestion(name, self.known_topics(), self.hint("topic list"))
+            raise GibsonSimError(f"topic {quoted(name)} has no publisher and no subscriber; {hint}")
+        return name
+
+    def type_of(self, topic: str) -> tuple[str, str]:
+        """Returns the full name and the type of a topic.
+
+        Raises:
+            GibsonSimError: the topic does not exist, or has several types.
+        """
+        name = self.find_topic(topic)
+        self.spin_until(_MORE_TYPES_S, lambda: len(self.known_topics()[name]) > 1)
+        types = self.known_topics()[name]
+        if len(types) > 1:
+            raise GibsonSimError(f"topic {quoted(name)} has several types: {', '.join(types)}; only one can be shown")
+        return name, types[0]
+
+    def subscribe(self, topic: str, callback: Callable[[Any], None], *, raw: bool = False) -> tuple[str, str]:
+        """Subscribes to a topic with a QoS that matches all publishers; returns its full name and type."""
+        name, kind = self.type_of(topic)
+        try:
+            message_type = message_class(kind)
+        except UNKNOWN as error:
+            raise GibsonSimError(f"the message type {kind} is not installed in this environment") from error
+        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(name)]
+        reliable = bool(offered) and all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+        latched = bool(offered) and all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+        profile = QoSProfile(
+            depth=100,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+        self.create_subscription(message_type, name, callback, profile, raw=raw)
+        return name, kind
+
+    def call(self, name: str, kind: Any, request: Any) -> Any:
+        """Returns the response of a service.
+
+        Raises:
+            GibsonSimError: no node offers the service, or it does not respond.
+        """
+        client = self.create_client(kind, name)
+        if not self.spin_until(PATIENCE_S, client.service_is_ready):
+            raise self.missing_service(client.srv_name, type_name_of(kind))
+        return self.response(client, request)
+
+    def response(self, client: Any, request: Any) -> Any:
+        """Returns the response of the service of a client; raises GibsonSimError if it does not respond."""
+        future = client.call_async(request)
+        if not self.spin_until(60.0, future.done):
+            raise GibsonSimError(f"the service {quoted(client.srv_name)} did not respond within 60 s")
+        return future.result()
+
+
+def full_name(namespace: str, name: str) -> str:
+    """Returns the full name of a node, such as ``/robot_1/driver``."""
+    return f"{namespace.rstrip('/')}/{name}"
