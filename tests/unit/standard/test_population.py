@@ -12,7 +12,7 @@ import pytest
 
 from gibson_sim.description.shapes import Shape
 from gibson_sim.robots.load import load_robot
-from gibson_sim.scenes.spec import CollisionSpec
+from gibson_sim.scenes.spec import CollisionSpec, StartPose
 from gibson_sim.standard.bounds import Bounds, BoundsType
 from gibson_sim.standard.codes import EntityStateCode, Result, SimulationError, SpawnCode
 from gibson_sim.standard.entities import Category, EntityInfo
@@ -324,6 +324,24 @@ def test_a_robot_that_starts_where_nothing_is_below_it_is_told(
     told = [record.getMessage() for record in caplog.records if "nothing below" in record.getMessage()]
     assert len(told) == 1
     assert "robot starts at 100.00,0.00, where there is nothing below it: it falls; `gibson-sim scene inspect`" in told[0]
+
+
+def test_a_robot_that_starts_outside_a_building_on_infinite_ground_is_told(
+    make: Callable[..., Simulator], caplog: pytest.LogCaptureFixture
+) -> None:
+    walls = (
+        CollisionSpec("west", Shape("box", (0.2, 6.0, 2.0)), Pose((-2.0, 0.0, 1.0))),
+        CollisionSpec("east", Shape("box", (0.2, 6.0, 2.0)), Pose((8.0, 0.0, 1.0))),
+    )
+    scene = replace(SCENE, ground_z=0.0, collisions=walls, bodies=(), starts=(StartPose("hall", Pose()),))
+    for x, starts in ((1.0, scene.starts), (50.0, scene.starts), (50.0, ())):
+        make(replace(scene, starts=starts, robots=(load_robot("gibson_bot", start=Pose((x, 0.0, 0.0))),)))
+    told = [record.getMessage() for record in caplog.records]
+    assert len(told) == 1
+    assert (
+        "robot starts at 50.00,0.00, outside the scene, which is from x -2.1 to 8.1 and y -3.0 to 3.0 m; `gibson-sim scene"
+        in told[0]
+    )
 
 
 def test_a_thing_that_is_spawned_where_nothing_is_below_it_is_told(

@@ -39,6 +39,8 @@ _GEAR_FORCE = 1e5
 """Force limit of a gear constraint, N or N m: more than any motor has."""
 _RAYS_FOR_THREADS = 2_000
 """Number of rays above which several threads are faster; a planar scan is faster in one thread."""
+_INFINITE_M = 1e12
+"""Coordinates of bounding boxes from which they are those of planes, m; the engine gives 1e30."""
 MAX_BODIES_WITH_RAYS = 24
 """Maximum number of bodies that rays can ignore: each needs a bit of the 32-bit collision group, whose lowest six Bullet uses itself."""
 
@@ -328,6 +330,12 @@ class Bullet:
             points = p.getContactPoints(bodyA=body.uid, physicsClientId=self.client) or ()
             contacts = [self._contact(point, body.uid) for point in points]
         return [contact for contact in contacts if contact.force > 0.0 or contact.distance <= 0.0]
+
+    def static_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Returns the minimum and maximum corner, each (3,), metres, of the bounding box of the static shapes without planes; None = no shapes."""
+        boxes = np.array([p.getAABB(uid, physicsClientId=self.client) for uid in self._static]).reshape(-1, 2, 3)
+        boxes = boxes[np.abs(boxes).max(axis=(1, 2)) < _INFINITE_M]
+        return (boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)) if len(boxes) else None
 
     def bodies_near(self, body: BulletBody, link: int, radius: float) -> set[int]:
         """Returns the engine ids of bodies whose bounding boxes are within ``radius`` metres of that of a link (-1 = the root)."""

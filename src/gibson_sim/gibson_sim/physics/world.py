@@ -237,6 +237,10 @@ class PhysicsWorld:
         """
         return self._body(name).bounds(self._bullet, np.eye(4) if T_frame_world is None else T_frame_world)
 
+    def static_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Returns the minimum and maximum corner, each (3,), metres, of the scene's static shapes, without an infinite ground; None = no shapes."""
+        return self._bullet.static_bounds()
+
     # Contacts
 
     def contacts(self, name: str | None = None) -> tuple[Contact, ...]:

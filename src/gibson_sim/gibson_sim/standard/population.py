@@ -150,10 +150,10 @@ class Population:
         self._entities: dict[str, Entity] = {}
         self._list_entities()
         for robot in world.scene.robots:
-            if self._has_nothing_below(robot.start, robot.name):
+            if misplaced := self._misplacement(robot):
                 x, y, _ = robot.start.position
                 hint = "`gibson-sim scene inspect` shows the floors of a scene and the names of its start poses"
-                _LOG.warning("%s starts at %.2f,%.2f, where there is nothing below it: it falls; %s", robot.name, x, y, hint)
+                _LOG.warning("%s starts at %.2f,%.2f, %s; %s", robot.name, x, y, misplaced, hint)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -276,6 +276,19 @@ class Population:
             x, y, _ = pose.position
             _LOG.warning("spawned %s at %.2f,%.2f, where there is nothing below it: it falls", quoted(name), x, y)
         return name
+
+    def _misplacement(self, robot: RobotSpec) -> str:
+        """Returns what is wrong with a robot's start: it would fall, or is outside a building on infinite ground; empty = nothing."""
+        if self._has_nothing_below(robot.start, robot.name):
+            return "where there is nothing below it: it falls"
+        bounds = self._world.static_bounds()
+        if bounds is None or not self._world.scene.starts:  # without start poses, open ground may be all there is
+            return ""
+        (low_x, low_y, _), (high_x, high_y, _) = bounds
+        x, y, _ = robot.start.position
+        if low_x <= x <= high_x and low_y <= y <= high_y:
+            return ""
+        return f"outside the scene, which is from x {low_x:.1f} to {high_x:.1f} and y {low_y:.1f} to {high_y:.1f} m"
 
     def _has_nothing_below(self, pose: Pose, robot: str | None = None) -> bool:
         """Returns whether a downward ray from a pose hits neither floor nor object; it ignores ``robot``."""
