@@ -128,6 +128,19 @@ def test_services_are_listed_and_called() -> None:
     assert all("did you mean 'entity'?" in text for _, text in misspelt)
 
 
+def test_hidden_names_are_listed_only_on_request() -> None:
+    action = "/simulate_steps/_action"
+    visible = _run_together("topic list", "service list", "node info /physics", "action list")
+    assert all(code == 0 and action not in text for code, text in visible)
+    assert visible[-1] == (0, "/simulate_steps\n")
+    topics, services, info = _run_together(
+        "topic list --include-hidden-topics", "service list --include-hidden-services", "node info /physics --include-hidden"
+    )
+    assert {f"{action}/feedback", f"{action}/status"} <= set(topics[1].split())
+    assert {f"{action}/cancel_goal", f"{action}/get_result", f"{action}/send_goal"} <= set(services[1].split())
+    assert f"    {action}/status: action_msgs/msg/GoalStatusArray\n" in info[1].partition("  Publishers:\n")[2]
+
+
 def test_parameters_are_read_and_changed() -> None:
     assert _run("param", "set", "/physics", "rate", "2")[1] == "Set parameter successful\n"
     names, value, mistyped, fixed, misspelt, foreign, stranger = _run_together(
@@ -149,6 +162,23 @@ def test_an_action_makes_steps() -> None:
     words = ("action", "send_goal", "/simulate_steps", "simulation_interfaces/action/SimulateSteps", "{steps: 5}")
     code, text = _run(*words)
     assert code == 0 and "Goal finished with status: SUCCEEDED" in text
+    _run("play")
+
+
+def test_ctrl_c_cancels_the_goal_of_an_action() -> None:
+    _run("pause")
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "action", "send_goal", "-f"]
+    command += ["/simulate_steps", "simulation_interfaces/action/SimulateSteps", "{steps: 1000000000}"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line == "Feedback:\n":
+            break
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=PATIENCE_S)
+    assert "\nCanceling goal...\n" in output and output.endswith("Goal canceled.\n")
+    assert process.returncode == -signal.SIGINT
+    assert _run("step", "1") == (0, "executed 1 step\n"), "no steps are being executed"
     _run("play")
 
 

@@ -14,6 +14,7 @@ from gibson_sim.cli.processes import become
 from gibson_sim.errors import GibsonSimError
 
 _PLACE = "X,Y or X,Y,YAW on the map, m and degrees"
+_HIDDEN = "a part of their name begins with _, as in those of actions"
 
 
 def add_parser(subparsers: Any) -> None:
@@ -30,6 +31,7 @@ def _add_topic(parser: Any) -> None:
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     listed = kinds.add_parser("list", help="names of all topics")
     listed.add_argument("-t", "--show-types", dest="types", action="store_true", help="also their types")
+    listed.add_argument("--include-hidden-topics", action="store_true", help=f"also hidden topics: {_HIDDEN}")
     _finish(listed, "topic list")
     info = kinds.add_parser("info", help="type of a topic, and how many nodes publish and subscribe")
     info.add_argument("topic")
@@ -73,6 +75,7 @@ def _add_node(parser: Any) -> None:
     _finish(kinds.add_parser("list", help="names of all nodes"), "node list")
     info = kinds.add_parser("info", help="topics, services and actions of a node")
     info.add_argument("node")
+    info.add_argument("--include-hidden", action="store_true", help=f"also hidden topics and services: {_HIDDEN}")
     _finish(info, "node info")
 
 
@@ -80,6 +83,7 @@ def _add_service(parser: Any) -> None:
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     listed = kinds.add_parser("list", help="names of all services")
     listed.add_argument("-t", "--show-types", dest="types", action="store_true", help="also their types")
+    listed.add_argument("--include-hidden-services", action="store_true", help=f"also hidden services: {_HIDDEN}")
     _finish(listed, "service list")
     kind = kinds.add_parser("type", help="type of a service")
     kind.add_argument("service")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.action.graph import get_action_names_and_types
 
@@ -12,8 +14,8 @@ from gibson_sim.quoting import quoted
 from gibson_sim.ros.tools.arguments import interface_class, parse_values
 from gibson_sim.ros.tools.hints import PHYSICS, suggestion
 from gibson_sim.ros.tools.listing import print_names, with_types
-from gibson_sim.ros.tools.output import print_line
-from gibson_sim.ros.tools.tool import Tool
+from gibson_sim.ros.tools.output import print_error, print_line
+from gibson_sim.ros.tools.tool import PATIENCE_S, Tool
 from gibson_sim.ros.tools.yaml_messages import fill, yaml_text
 
 _STATUS = {4: "SUCCEEDED", 5: "CANCELED", 6: "ABORTED"}
@@ -26,7 +28,7 @@ def action_list(tool: Tool, types: bool = False) -> None:
 
 
 def action_send_goal(tool: Tool, action: str, type: str, values: str = "", feedback: bool = False) -> int:
-    """Sends a goal, waits for its end, and prints its result; returns 1 if it did not succeed."""
+    """Sends a goal, waits for its end, and prints its result; returns 1 if it did not succeed. Ctrl-C cancels the goal."""
     kind = interface_class(type)
     client = ActionClient(tool, kind, action)
     if not tool.wait_for(f"the action {quoted(action)}", client.server_is_ready):
@@ -36,15 +38,39 @@ def action_send_goal(tool: Tool, action: str, type: str, values: str = "", feedb
     print_line(f"Sending goal:\n{yaml_text(goal, whole=True)}")
     on_feedback = (lambda message: print_line("Feedback:\n" + yaml_text(message.feedback))) if feedback else None
     acceptance = client.send_goal_async(goal, feedback_callback=on_feedback)
-    tool.spin_until(60.0, acceptance.done)
-    handle = acceptance.result() if acceptance.done() else None
-    if handle is None or not handle.accepted:
-        raise GibsonSimError(f"the goal was not accepted by {action}")
-    future = handle.get_result_async()
-    tool.spin_until(math.inf, future.done)
+    try:
+        tool.spin_until(60.0, acceptance.done)
+        handle = acceptance.result() if acceptance.done() else None
+        if handle is None or not handle.accepted:
+            raise GibsonSimError(f"the goal was not accepted by {action}")
+        future = handle.get_result_async()
+        tool.spin_until(math.inf, future.done)
+    except KeyboardInterrupt:
+        _cancel(tool, action, acceptance)
+        raise
     result = future.result()
     print_line(
         f"Result:\n{yaml_text(result.result, whole=True)}\nGoal finished with status: {_STATUS.get(result.status, result.status)}"
     )
     client.destroy()
     return 0 if result.status == 4 else 1
+
+
+def _cancel(tool: Tool, action: str, acceptance: Any) -> None:
+    """Cancels a goal, and prints whether that succeeded; ``acceptance`` is the future with the handle of the goal."""
+    if not tool.spin_to_the_end(PATIENCE_S, acceptance.done):
+        print_error(f"{action} has not accepted the goal within {PATIENCE_S:g} s: it cannot be canceled, and may be executed")
+        return
+    handle = acceptance.result()
+    if not handle.accepted:
+        return
+    response = handle.cancel_goal_async()
+    print_line("Canceling goal...")
+    if not tool.spin_to_the_end(PATIENCE_S, response.done):
+        print_error(f"{action} has not answered within {PATIENCE_S:g} s: the goal may continue")
+    elif response.result().goals_canceling:
+        print_line("Goal canceled.")
+    elif response.result().return_code == CancelGoal.Response.ERROR_GOAL_TERMINATED:
+        print_error("the goal has ended already")
+    else:
+        print_error(f"{action} refuses to cancel the goal: it continues")

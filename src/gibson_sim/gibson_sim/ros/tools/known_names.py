@@ -10,6 +10,7 @@ from rclpy.action.graph import get_action_names_and_types
 from simulation_interfaces.srv import GetEntities
 
 from gibson_sim.ros.tools.tool import USUAL_DISCOVERY_S, Tool
+from gibson_sim.ros.topics.names import is_hidden
 
 _STEADY_S = 0.3
 """Time without a new topic or service after which discovery counts as complete, s of wall time."""
@@ -29,8 +30,8 @@ def known_names(tool: Tool) -> str:
     ]
     tool.spin_until(_ANSWER_S, lambda: all(future.done() for future in (*parameters.values(), *entities)))
     names = {
-        "topics": sorted(tool.known_topics()),
-        "services": sorted(services),
+        "topics": sorted(name for name in tool.known_topics() if not is_hidden(name)),
+        "services": sorted(name for name in services if not is_hidden(name)),
         "actions": sorted(name for name, _ in get_action_names_and_types(tool)),
         "nodes": nodes,
         "entities": sorted(name for future in entities if future.done() for name in future.result().entities),

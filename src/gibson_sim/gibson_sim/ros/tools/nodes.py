@@ -19,7 +19,7 @@ def node_list(tool: Tool) -> None:
     print_names(tool, tool.known_nodes())
 
 
-def node_info(tool: Tool, node: str) -> None:
+def node_info(tool: Tool, node: str, include_hidden: bool = False) -> None:
     """Prints the topics, services and actions of a node, with their types."""
     full_name = full_node_name(node)
     if not tool.spin_until(PATIENCE_S, lambda: full_name in tool.known_nodes()):
@@ -37,5 +37,5 @@ def node_info(tool: Tool, node: str) -> None:
     ):
         print_line(f"  {label}:")
         for entry, kinds in sorted(listed):
-            if not is_hidden(entry):
+            if include_hidden or not is_hidden(entry):
                 print_line(f"    {entry}: {', '.join(kinds)}")

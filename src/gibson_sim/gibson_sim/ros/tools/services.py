@@ -5,16 +5,17 @@ from __future__ import annotations
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.tools.arguments import interface_class, parse_values
 from gibson_sim.ros.tools.hints import PHYSICS, type_and_values
-from gibson_sim.ros.tools.listing import print_names, with_types
+from gibson_sim.ros.tools.listing import print_names, with_types, without_hidden
 from gibson_sim.ros.tools.output import print_line
 from gibson_sim.ros.tools.tool import PATIENCE_S, Tool
 from gibson_sim.ros.tools.yaml_messages import fill, yaml_text
 
 
-def service_list(tool: Tool, types: bool = False) -> None:
+def service_list(tool: Tool, types: bool = False, include_hidden_services: bool = False) -> None:
     """Prints the names of all services, one per line."""
     tool.discover(PHYSICS)
-    print_names(tool, with_types(tool.known_services(), types))
+    services = tool.known_services() if include_hidden_services else without_hidden(tool.known_services())
+    print_names(tool, with_types(services, types))
 
 
 def service_type(tool: Tool, service: str) -> None:

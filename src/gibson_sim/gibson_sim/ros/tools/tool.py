@@ -67,9 +67,16 @@ class Tool(Node):
         Raises:
             KeyboardInterrupt: the end of the process is requested; what is known until then is not a result.
         """
+        return self._spin_until(timeout_s, condition, is_running)
+
+    def spin_to_the_end(self, timeout_s: float, condition: Callable[[], bool]) -> bool:
+        """Does the same after Ctrl-C, to end what this node began; a second Ctrl-C raises KeyboardInterrupt."""
+        return self._spin_until(timeout_s, condition, self.context.ok)
+
+    def _spin_until(self, timeout_s: float, condition: Callable[[], bool], may_continue: Callable[[], bool]) -> bool:
         deadline = time.monotonic() + timeout_s
         while True:
-            if not is_running():
+            if not may_continue():
                 raise KeyboardInterrupt
             if condition():
                 return True

@@ -15,7 +15,7 @@ from gibson_sim import interrupts
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.tools.hints import PHYSICS, RENDER
-from gibson_sim.ros.tools.listing import print_names, with_types
+from gibson_sim.ros.tools.listing import print_names, with_types, without_hidden
 from gibson_sim.ros.tools.output import print_error, print_line
 from gibson_sim.ros.tools.tool import USUAL_DISCOVERY_S, Tool, full_name
 from gibson_sim.ros.tools.yaml_messages import field_of, value_text, yaml_text
@@ -27,11 +27,16 @@ _WINDOW = 10_000
 """Number of messages in statistics, the newest ones, as in ``ros2 topic hz``."""
 
 
-def topic_list(tool: Tool, types: bool = False) -> None:
+def topic_list(tool: Tool, types: bool = False, include_hidden_topics: bool = False) -> None:
     """Prints the names of all topics, one per line."""
     tool.discover(PHYSICS, RENDER)
-    is_alone = not tool.known_nodes()  # the topics are those of this node
-    print_names(tool, [] if is_alone else with_types(tool.known_topics(), types))
+    if not tool.known_nodes():
+        topics = {}  # those of this node
+    elif include_hidden_topics:
+        topics = tool.known_topics()
+    else:
+        topics = without_hidden(tool.known_topics())
+    print_names(tool, with_types(topics, types))
 
 
 def topic_info(tool: Tool, topic: str, verbose: bool = False) -> None:
