@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,6 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402
-from gibson_sim.interrupts import INTERRUPTED  # noqa: E402
 from support.clients import DEEP, LATCHED, stamp_ns  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -139,7 +139,7 @@ def test_interrupted_playback_says_so_in_one_line(listener: Listener, play: Call
     playing = play("--rate", "0.001", "--wait-for", "/text")
     listener.spin_until(lambda: bool(texts), "the first text")
     before = len(playing.lines)
-    assert playing.stop() == INTERRUPTED
+    assert playing.stop() == -signal.SIGINT
     (line,) = playing.lines[before:]
     assert re.fullmatch(r"stopped at 0\.0 s of 2\.0 s: played [23] messages", line), (
         "the text, the latched message, and perhaps the other text"

@@ -321,7 +321,7 @@ def _say(line: str) -> None:
 def main() -> None:
     """Runs the node with the options in the JSON on the command line."""
     options = PlayOptions.from_json(sys.argv[1])
-    run_node(lambda: BagPlayer(options), [])
+    run_node(lambda: BagPlayer(options), [], interrupted=interrupts.INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from gibson_sim.errors import missing_package
 
 
 def run(module: str) -> None:
-    """Runs ``main`` of a module, which reads the command line from ``sys.argv``."""
+    """Runs ``main`` of a module, which reads the command line from ``sys.argv``; its exit code ``INTERRUPTED`` ends the process by SIGINT."""
     interrupts.end_silently()
     from gibson_sim.processes.job_folder import leave_job
 
@@ -27,6 +27,11 @@ def run(module: str) -> None:
         if problem is None:
             raise
         sys.exit(f"error: {problem}")
+    except SystemExit as end:
+        if end.code != interrupts.INTERRUPTED:
+            raise
+        leave_job()
+        interrupts.die()
     finally:
         interrupts.end_silently()
         leave_job()

@@ -15,12 +15,7 @@ def main() -> None:
     """Executes the command in the JSON on the command line: ``command``, and its arguments."""
     arguments = json.loads(sys.argv[1])
     command = arguments.pop("command")
-    try:
-        run_node(lambda: Tool(lambda tool: execute(tool, command, arguments)), [], interrupted=interrupts.INTERRUPTED)
-    except SystemExit as end:
-        if end.code == interrupts.INTERRUPTED:
-            interrupts.die()
-        raise
+    run_node(lambda: Tool(lambda tool: execute(tool, command, arguments)), [], interrupted=interrupts.INTERRUPTED)
 
 
 if __name__ == "__main__":
