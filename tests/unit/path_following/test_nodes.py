@@ -8,6 +8,8 @@ import math
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -707,6 +709,19 @@ def test_help_says_what_a_node_does_and_lists_topics_and_parameters(name: str, c
         assert ended.value.code == 0
     text = capsys.readouterr().out
     assert "\nSubscribes" in text and "\nParameters:\n  " in text and "``" not in text and "options." not in text
+
+
+def test_help_whose_reader_ends_is_no_error() -> None:
+    end, start = os.pipe()
+    os.close(end)
+    with os.fdopen(start) as pipe:
+        done = subprocess.run(
+            [sys.executable, "-c", "from gibson_path_following.nodes.path_policy import main; main(['--help'])"],
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -36,7 +37,7 @@ def run_node(kind: type[Any], options: type[Options], args: list[str] | None = N
     """
     args = sys.argv[1:] if args is None else args
     if {"-h", "--help"} & set(args):
-        print(help_text(kind, options))
+        _print(help_text(kind, options))
         sys.exit(0)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
     # Python sets no handler of SIGINT in a process that a shell script started in the background.
@@ -94,6 +95,14 @@ def help_text(kind: type[Any], options: type[Options]) -> str:
         f"usage: {Path(sys.argv[0]).stem} [--ros-args [-p PARAMETER:=VALUE]... [-r TOPIC:=OTHER_TOPIC]... [--params-file FILE]]\n\n"
         f"{about.replace('``', '')}\n\nParameters:\n{describe(options)}"
     )
+
+
+def _print(text: str) -> None:
+    """Prints a text; a reader that ends, as in ``path_policy --help | head``, is no error."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes the rest of the text at its end
 
 
 def pop_queue(subscription: Any) -> Iterator[Any]:
