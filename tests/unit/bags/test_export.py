@@ -6,6 +6,7 @@ import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -16,8 +17,9 @@ import yaml
 from numpy.typing import NDArray
 
 from gibson_sim.bags.export.job import ExportOptions
-from gibson_sim.bags.export.read import depth_in_units
+from gibson_sim.bags.export.read import CameraImage, depth_in_units
 from gibson_sim.bags.export.run import export_bag
+from gibson_sim.bags.images.decode import COMPRESSED
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import EnvironmentProblemError, RecordError
 from gibson_sim.geometry.transforms import (
@@ -29,6 +31,7 @@ from gibson_sim.geometry.transforms import (
     pose_from_xyz_rpy,
     transform_points,
 )
+from support.exif import jpeg_with_orientation
 
 MS = 1_000_000
 STAMPS = (100 * MS, 133_333_333, 200 * MS)
@@ -277,6 +280,17 @@ def test_a_bag_of_a_real_robot_is_exported_without_our_topics(drives: Drives, me
     assert cv2.imread(str(tmp_path / "out/cam_color" / row["depth"]), cv2.IMREAD_UNCHANGED)[0, 0] == 1234
     assert row["x"] == ""
     assert any("has no poses" in note for note in report.notes)
+
+
+def test_an_image_is_not_rotated_by_its_exif_orientation_neither_decoded_nor_as_a_file() -> None:
+    message = SimpleNamespace(format="jpeg", data=jpeg_with_orientation(np.full((HEIGHT, WIDTH, 3), 80, np.uint8)))
+    stream = SimpleNamespace(type_name=COMPRESSED, kind="color", encoding="jpg", topic="/cam/image_raw/compressed")
+    camera: Any = SimpleNamespace(streams={"rgb": stream})
+    picture = CameraImage(camera, "rgb", STAMPS[0], message)
+    assert picture.bgr().shape == (HEIGHT, WIDTH, 3)
+    encoded = picture.encoded()
+    assert encoded is not None
+    assert cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR).shape == (HEIGHT, WIDTH, 3)
 
 
 def test_lerobot_has_the_newest_image_state_and_command(drive: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.exif import jpeg_with_orientation
 from support.simulation import require
 
 require("rclpy", "sensor_msgs")
@@ -205,6 +206,14 @@ def test_another_encoding_is_one_that_the_driver_can_change() -> None:
 def test_a_compressed_image_of_8_bits_is_used() -> None:
     assert conversions.rgb_of(_png(np.full((6, 10, 3), (1, 2, 3), np.uint8), "bgr8"))[0, 0].tolist() == [3, 2, 1]
     assert conversions.rgb_of(_png(np.full((6, 10), 7, np.uint8), "mono8"))[0, 0].tolist() == [7, 7, 7]
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_compressed_image_keeps_its_geometry_whatever_its_exif_orientation(orientation: int) -> None:
+    pixels = np.zeros((16, 32, 3), np.uint8)
+    pixels[:, :16] = 200
+    found = conversions.rgb_of(CompressedImage(format="jpeg", data=jpeg_with_orientation(pixels, orientation)))
+    assert found.shape == (16, 32, 3) and found[8, 4].min() > 190 and found[8, 28].max() < 10
 
 
 # Topics

@@ -11,11 +11,12 @@ require("rclpy", "gibson_msgs")
 
 import cv2  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
-from sensor_msgs.msg import Image, JointState, LaserScan  # noqa: E402
+from sensor_msgs.msg import CompressedImage, Image, JointState, LaserScan  # noqa: E402
 
 from gibson_sim.ros.web.message_fields import number_at, number_fields, parse_path  # noqa: E402
 from gibson_sim.ros.web.plot_subscriptions import plottable  # noqa: E402
-from gibson_sim.ros.web.video_subscriptions import bgr_image  # noqa: E402
+from gibson_sim.ros.web.video_subscriptions import VideoSubscriptions, bgr_image  # noqa: E402
+from support.exif import jpeg_with_orientation  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -104,3 +105,10 @@ def test_images_with_too_few_bytes_or_an_odd_size_are_not_drawn() -> None:
     for encoding in ("bayer_rggb8", "yuv422", "nv12", "bayer_rggb16"):
         assert bgr_image(Image(encoding=encoding, width=8, height=8, step=8, data=b"1234")) is None
         assert bgr_image(Image(encoding=encoding, width=7, height=7, step=32, data=b"1" * 1000)) is None
+
+
+def test_compressed_images_are_shown_as_the_sensor_saw_them_whatever_their_exif_orientation() -> None:
+    shown: list[bytes] = []
+    videos = VideoSubscriptions(None, lambda image: shown.append(image.jpeg))  # type: ignore[arg-type]
+    videos._on_compressed("/a", CompressedImage(format="jpeg", data=jpeg_with_orientation(np.zeros((6, 10, 3), np.uint8))))
+    assert cv2.imdecode(np.frombuffer(shown[0], np.uint8), cv2.IMREAD_COLOR).shape == (6, 10, 3)

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gibson_sim.sensors.image_codecs import COMPRESSED_DEPTH_FORMAT, color_format, encode_color, encode_depth
+from gibson_sim.sensors.image_codecs import (
+    COMPRESSED_DEPTH_FORMAT,
+    color_format,
+    decode_color,
+    encode_color,
+    encode_depth,
+    without_exif,
+)
+from support.exif import jpeg_with_orientation
 
 
 def _decoded_depth(data: bytes) -> NDArray[np.float64]:
@@ -49,6 +57,31 @@ def test_jpeg_decodes_to_nearly_the_same_colours() -> None:
     bgr = cv2.imdecode(data, cv2.IMREAD_COLOR)
     wrong = np.abs(bgr[:, :, ::-1].astype(int) - _red_and_blue()).max(axis=(0, 2))
     assert np.delete(wrong, [15, 16]).max() <= 6, "beside the edge, whose colours JPEG smears"
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_an_image_is_not_rotated_by_its_exif_orientation(orientation: int) -> None:
+    data = jpeg_with_orientation(_red_and_blue(), orientation)
+    pixels = decode_color(data)
+    assert pixels is not None and pixels.shape == (16, 32, 3)
+    assert (
+        np.abs(pixels[8, 4].astype(int) - (200, 30, 0)).max() < 8 and np.abs(pixels[8, 28].astype(int) - (0, 40, 220)).max() < 8
+    )
+
+
+def test_without_exif_data_every_reader_sees_the_pixels_of_the_sensor() -> None:
+    data = jpeg_with_orientation(_red_and_blue())
+    assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).shape == (32, 16, 3)
+    stripped = without_exif(data)
+    assert cv2.imdecode(np.frombuffer(stripped, np.uint8), cv2.IMREAD_COLOR).shape == (16, 32, 3)
+    assert without_exif(stripped) == stripped == encode_color(_red_and_blue()[:, :, ::-1], "jpeg", jpeg_quality=100).tobytes()
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\xff", b"\xff\xd8", b"\xff\xd8\xff\xe1\0", b"\xff\xd8\xff\xe0\0\0\xff", b"\x89PNG\r\n\x1a\n"]
+)
+def test_what_has_no_exif_data_stays_as_it_is(data: bytes) -> None:
+    assert without_exif(data) == data
 
 
 def test_lower_jpeg_quality_makes_smaller_files() -> None:

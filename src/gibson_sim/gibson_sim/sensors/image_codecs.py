@@ -24,6 +24,8 @@ COMPRESSED_DEPTH_FORMAT = "32FC1; compressedDepth png"
 _INVERSE_DEPTH = 0
 _HEADER = struct.Struct("<iff")
 _LARGEST = 2**16 - 1
+_JPEG_START, _EXIF_SEGMENT, _JPEG_SCAN = b"\xff\xd8", b"\xff\xe1", b"\xff\xda"
+"""Markers of JPEG: start of the file, the segment APP1, which holds EXIF data, and the start of the coded pixels."""
 
 
 def color_format(codec: ColorCodec) -> str:
@@ -47,6 +49,34 @@ def encode_color(rgb: U8, codec: ColorCodec, *, jpeg_quality: int = 95, png_leve
     if codec == "jpeg":
         return _encode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
     return _encode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
+
+
+def decode_color(data: bytes) -> U8 | None:
+    """Returns a compressed image, (H, W, 3) BGR, or None if it cannot be decoded.
+
+    The pixels are the sensor's, as ``camera_info`` describes them: an EXIF orientation, which is for viewers of photographs, is ignored.
+
+    Args:
+        data: bytes of a JPEG or PNG file, as from ``encode_color``.
+    """
+    return decode_pixels(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def without_exif(data: bytes) -> bytes:
+    """Returns a JPEG file without its EXIF data, so that no reader rotates the image; any other data unchanged.
+
+    Args:
+        data: bytes of an image file.
+    """
+    at, kept = len(_JPEG_START), [data[: len(_JPEG_START)]]
+    if kept[0] != _JPEG_START:
+        return data
+    while at + 4 <= len(data) and data[at] == 0xFF and data[at : at + 2] != _JPEG_SCAN:
+        end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        if not (data[at : at + 2] == _EXIF_SEGMENT and data[at + 4 : at + 10] == b"Exif\0\0"):
+            kept.append(data[at:end])
+        at = end
+    return b"".join((*kept, data[at:]))
 
 
 def encode_depth(

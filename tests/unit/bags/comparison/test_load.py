@@ -11,6 +11,7 @@ import pytest
 from gibson_sim.bags.comparison.load import load_recording
 from gibson_sim.errors import ConfigError, RecordError
 from support.drives import NS, StandardBag
+from support.exif import jpeg_with_orientation
 
 WALL_NS = 1_700_000_000 * NS
 
@@ -109,6 +110,15 @@ def test_images_become_statistics_and_small_copies(folder: Path) -> None:
     assert found is not None
     assert found.statistics[:, 0] == pytest.approx([0.2, 0.4, 0.6])
     assert found.thumbnails[0].shape == (180, 240, 3)
+
+
+def test_an_image_is_not_rotated_by_its_exif_orientation(folder: Path) -> None:
+    jpeg = np.frombuffer(jpeg_with_orientation(np.zeros((48, 64, 3), np.uint8)), np.uint8)
+    with StandardBag(folder) as bag:
+        msg = bag.make("sensor_msgs/msg/CompressedImage", header=bag.header(NS, "camera"), format="jpeg", data=jpeg)
+        bag.write("/camera/image_raw/compressed", NS, msg)
+    found = load_recording(folder).pictures
+    assert found is not None and found.thumbnails[0].shape == (180, 240, 3)
 
 
 def test_map_has_walls_where_it_is_occupied(folder: Path) -> None:

@@ -110,6 +110,8 @@ def _encoding_error(encoding: str) -> ViewError:
 def rgb_of_compressed(msg: Any) -> Image:
     """Returns the pixels of a ``sensor_msgs/CompressedImage``, (H, W, 3) RGB.
 
+    They are the sensor's, as ``camera_info`` describes them: an EXIF orientation, which is for viewers of photographs, is ignored.
+
     Raises:
         ViewError: it is neither JPEG nor PNG, has more than 8 bits per channel, is too large, or cannot be decoded.
     """
@@ -129,7 +131,7 @@ def rgb_of_compressed(msg: Any) -> Image:
             f"a compressed image has {size[0]}x{size[1]} pixels, must have 1 to {MAX_PIXELS}; make the camera's images smaller"
         )
     try:
-        bgr = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        bgr = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
         bgr = None
     if bgr is None:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,8 +26,8 @@ from gibson_sim.bags.comparison.timing import SAME_CLOCK_S
 from gibson_sim.bags.reader import BagReader, TopicInfo, image_to_array
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
-from gibson_sim.formats.textures import decode_pixels
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, yaw_from_quat
+from gibson_sim.sensors.image_codecs import decode_color
 from gibson_sim.types import NS_PER_S, Pose
 
 MOST_PICTURES = 200
@@ -289,8 +288,8 @@ def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:
 def _rgb(msg: Any) -> NDArray[np.uint8] | None:
     """Returns the image as RGB; None = it cannot be read or is not a colour image."""
     if hasattr(msg, "format"):
-        bgr = decode_pixels(bytes(msg.data), cv2.IMREAD_COLOR)
-        return None if bgr is None else np.asarray(bgr[:, :, ::-1])
+        bgr = decode_color(bytes(msg.data))
+        return None if bgr is None else bgr[:, :, ::-1]
     try:
         pixels = image_to_array(msg)
     except RecordError:

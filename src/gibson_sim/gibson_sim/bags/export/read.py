@@ -14,8 +14,8 @@ from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, base_topic, raw_ima
 from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
-from gibson_sim.formats.textures import decode_pixels
 from gibson_sim.quoting import quoted
+from gibson_sim.sensors.image_codecs import decode_color, without_exif
 
 INFO = "sensor_msgs/msg/CameraInfo"
 Kind = Literal["color", "depth", "labels", "vectors"]
@@ -259,16 +259,17 @@ class CameraImage:
         return self.camera.streams[self.output]
 
     def encoded(self) -> bytes | None:
-        """Returns the JPEG or PNG bytes of a compressed colour image; None otherwise."""
-        return bytes(self.message.data) if self.stream.type_name == COMPRESSED and self.stream.kind == "color" else None
+        """Returns the JPEG or PNG bytes of a compressed colour image, without EXIF data; None otherwise."""
+        is_encoded = self.stream.type_name == COMPRESSED and self.stream.kind == "color"
+        return without_exif(bytes(self.message.data)) if is_encoded else None
 
     def bgr(self) -> NDArray[np.uint8]:
         """Returns a colour image, (H, W, 3) uint8, blue first."""
         if self.stream.type_name == COMPRESSED:
-            decoded = decode_pixels(bytes(self.message.data), cv2.IMREAD_COLOR)
+            decoded = decode_color(bytes(self.message.data))
             if decoded is None:
                 raise RecordError(f"{self.stream.topic}: an image is neither JPEG nor PNG, or is broken; leave the topic out")
-            return np.asarray(decoded, dtype=np.uint8)
+            return decoded
         pixels = image_to_array(self.message)
         code = _TO_BGR.get(self.stream.encoding)
         return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)

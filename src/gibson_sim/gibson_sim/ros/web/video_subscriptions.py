@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
+from gibson_sim.sensors.image_codecs import decode_color, without_exif
 from gibson_sim.types import NS_PER_S
 from gibson_sim.web.videos import Image as PageImage
 
@@ -110,13 +111,13 @@ class VideoSubscriptions:
             self._set_problem(topic, "its messages are empty")
             return
         if not data.startswith(b"\xff\xd8"):  # a PNG
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+            pixels = decode_color(data)
             if pixels is None:
                 self._set_problem(topic, f"format {msg.format[:40]!r} is neither JPEG nor PNG")
                 return
-            data = _jpeg(np.asarray(pixels, dtype=np.uint8))
+            data = _jpeg(pixels)
         self._set_problem(topic, "")
-        self._show(PageImage(topic, _stamp_s(msg), data))
+        self._show(PageImage(topic, _stamp_s(msg), without_exif(data)))
 
     def _on_image(self, topic: str, msg: Image) -> None:
         pixels = bgr_image(msg, is_depth="depth" in topic)
