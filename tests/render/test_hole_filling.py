@@ -17,7 +17,7 @@ from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, ImageEffects, Pose
 from render.drawing import EYE, box, scene, state
-from support.filler_networks import our_network, pipeline
+from support.filler_networks import generator, our_network, pipeline
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 
@@ -167,6 +167,33 @@ def test_moving_links_keep_their_colours_and_fill_no_hole(kind: str, tmp_path: P
     assert np.allclose(filled.depth[32][holes[32]], 2.0, atol=1e-5), "the gap is as far as the wall"
     if kind == "network":
         assert filled.rgb[32, 26, 0] < 0.6 * plain.rgb[32, 26, 0], "the wall beside the gap is corrected"
+
+
+def test_smooth_edges_do_not_cut_moving_links() -> None:
+    arm = box((1.5, 0.0, 0.0), BLUE, (0.002, 0.25, 6.0), link="arm")
+    camera = replace(FILLED, samples=4)
+    with Renderer(scene(LEFT, RIGHT, arm, links=("arm",))) as made:
+        plain, filled = (
+            made.render(state(("arm",), [(0.0, 0.0, 0.0)]), [replace(camera, fill=fill)])[0] for fill in ("", "push_pull")
+        )
+    is_arm = plain.instance == np.bincount(plain.instance[32, 31:33]).argmax()
+    assert 4 <= is_arm[32].sum() <= 8
+    assert np.array_equal(filled.rgb[is_arm], plain.rgb[is_arm])
+
+
+@pytest.mark.parametrize("kind", [our_network, pipeline, generator])
+def test_what_networks_paint_into_a_hole_does_not_depend_on_the_colour_of_a_moving_link_before_it(
+    kind: object, tmp_path: Path
+) -> None:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(kind())
+    pictures = []
+    for colour in (BLUE, GREEN):
+        arm = box((1.5, 0.0, 0.0), colour, (0.002, 0.25, 6.0), link="arm")
+        with Renderer(scene(LEFT, RIGHT, arm, links=("arm",))) as made:
+            pictures.append(made.render(state(("arm",), [(0.0, 0.0, 0.0)]), [replace(FILLED, fill=str(file))])[0])
+    holes = pictures[0].hole == 1
+    assert holes[32].any() and np.array_equal(pictures[0].rgb[holes], pictures[1].rgb[holes])
 
 
 def test_buffers_of_images_before_a_failure_are_used_again(tmp_path: Path) -> None:

@@ -327,21 +327,23 @@ def test_a_camera_whose_holes_cannot_be_filled_ends_the_node_with_one_line(rig: 
     render = rig.render()
     rig.load(_scene(replace(EYE, fill=str(network))), ready=False)
     rig.spin_until(lambda: render._failure is not None, "the failure")
-    with pytest.raises(ConfigError, match=r"network\.onnx is not an ONNX file, or is truncated"):
+    with pytest.raises(ConfigError, match=r"^camera 'eye': .*network\.onnx is not an ONNX file, or is truncated"):
         render.spin()
 
 
 def test_a_network_that_fails_at_a_later_image_costs_the_images_of_its_camera_alone(rig: Rig, tmp_path: Path) -> None:
     network = tmp_path / "network.onnx"
-    network.write_bytes(network_that_fails_with_holes(0.25))
-    lid = _box("lid", (2.1, -1.0, 0.0), BLUE, link="lid")  # closes the right half while its link is at the origin
-    closed, away = {"lid": (0.0, 0.0, 0.0)}, {"lid": (0.0, 100.0, 0.0)}
+    network.write_bytes(network_that_fails_with_holes(0.75))
+    mount = _box("mount", (0.0, 0.0, -50.0), BLUE, link="mount")
+    # Half of the image is a hole, and all of it if the mount is far away.
+    near, away = {"mount": (0.0, 0.0, 0.0)}, {"mount": (0.0, -100.0, 0.0)}
     render = rig.render()
-    rig.load(_scene(EYE, replace(EYE, name="filled", outputs=("rgb",), fill=str(network)), visuals=(WALL, lid)))
+    filled_camera = replace(EYE, name="filled", link="mount", outputs=("rgb",), fill=str(network))
+    rig.load(_scene(EYE, filled_camera, visuals=(WALL, mount)))
     reports = rig.collect(DiagnosticArray, "/diagnostics")
     images, infos = rig.collect(Image, "eye/image_raw"), rig.collect(CameraInfo, "filled/camera_info")
     filled = rig.collect(Image, "filled/image_raw")
-    rig.tick_until(lambda: len(images) >= 2 and len(filled) >= 2, "images of both", positions=closed)
+    rig.tick_until(lambda: len(images) >= 2 and len(filled) >= 2, "images of both", positions=near)
     last = rig.stamp_ns
     rig.tick_until(lambda: len([m for m in images if _stamp(m) > last]) >= 5, "images of the other camera", positions=away)
     assert not [m for m in (*filled, *infos) if _stamp(m) > last], "an image that failed has neither image nor camera info"
@@ -349,7 +351,7 @@ def test_a_network_that_fails_at_a_later_image_costs_the_images_of_its_camera_al
         lambda: any(m.status[0].level == DiagnosticStatus.ERROR for m in reports), "a report of failed images", positions=away
     )
     count, last = len(filled), rig.stamp_ns
-    rig.tick_until(lambda: len(filled) >= count + 2, "images of both again", positions=closed)
+    rig.tick_until(lambda: len(filled) >= count + 2, "images of both again", positions=near)
     summary = render.summary()
     assert summary["failed_images"]["filled"] >= 5 and "eye" not in summary["failed_images"]
 
@@ -362,6 +364,22 @@ def test_a_network_that_fails_at_the_first_image_ends_the_node_and_names_camera_
     rig.spin_until(lambda: render._failure is not None, "the failure")
     with pytest.raises(ConfigError, match=r"^holes of camera 'filled', 64x48, are not filled: .*network\.onnx.*NaN"):
         render.spin()
+
+
+def test_a_camera_that_is_added_later_and_cannot_be_filled_is_reported(rig: Rig, tmp_path: Path) -> None:
+    network = tmp_path / "network.onnx"
+    network.write_bytes(b"GIF89a")
+    render = rig.render()
+    rig.load(_scene(EYE))
+    reports = rig.collect(DiagnosticArray, "/diagnostics")
+    bad = replace(EYE, name="bad", fill=str(network))
+    for revision in (2, 3):
+        rig.load(_scene(EYE, bad, revision=revision))
+        rig.tick_until(lambda: bool(reports) and reports[-1].status[0].level == DiagnosticStatus.ERROR, "a report of the camera")
+    assert reports[-1].status[0].message == "no images of bad: see the warnings in the log"
+    assert render.summary()["failed_images"] == {"bad": 1}, "it is refused once, not with every change of the scene"
+    rig.load(_scene(EYE, revision=4))
+    rig.tick_until(lambda: reports[-1].status[0].level == DiagnosticStatus.OK, "a report without the camera")
 
 
 def test_a_first_scene_that_cannot_be_drawn_ends_the_node_with_one_line(rig: Rig, tmp_path: Path) -> None:

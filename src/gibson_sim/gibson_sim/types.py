@@ -135,6 +135,7 @@ def check_fill(what: str, fill: str) -> None:
     if not isinstance(fill, str) or (fill and fill not in FILLS and not fill.endswith(".onnx")):
         raise ConfigError(
             f"{what}: fill is {quoted(fill)}, must be {', '.join(FILLS)} or the path of an ONNX file (.onnx), as text; '' = no filling"
+            f"{'; fill_depth=True also fills depth' if str(fill).endswith(',depth') else ''}"
         )
 
 

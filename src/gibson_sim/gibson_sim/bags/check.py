@@ -273,7 +273,11 @@ def _missing_notes(reports: Iterable[TopicReport]) -> list[str]:
     notes = []
     for (missing, count), topics in alike.items():
         images = [topic for topic in topics if not topic.endswith("/camera_info")]  # these come with images
-        why = ": the renderer skips images that it cannot draw in time" if any("image" in topic for topic in images) else ""
+        why = (
+            ": the renderer skips images that it cannot draw in time, or failed to draw (see the summary and the log of the run)"
+            if any("image" in topic for topic in images)
+            else ""
+        )
         notes.append(f"{missing} of {missing + count} messages are missing on {', '.join(images or topics)}{why}")
     return notes
 

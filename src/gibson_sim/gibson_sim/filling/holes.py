@@ -19,7 +19,7 @@ OUTSIDE = 4
 """Only as input of fillers, where ``Frame.hole`` has ``UNSEEN``: outside the field of view of the lens, and not sky."""
 MOVING = 5
 """Only as input of fillers, where ``Frame.hole`` has ``SURFACE``: a surface of a moving link. It is no part of a scan: it keeps its colours, and
-no hole is filled from it."""
+is unknown to fillers, so that no hole is filled from it."""
 
 
 def is_hole(hole: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -103,15 +103,17 @@ class GibsonNetwork:
         holes = is_hole(hole)
         if not holes.any():
             return Filled(colour.copy(), depth.copy() if with_depth else None)
-        # Trained on pinhole cameras, the network knows no black rim: to it, pixels outside the lens are holes.
-        known = np.where(hole == OUTSIDE, np.uint8(NOTHING), hole)
-        values = packed(filled_colour(colour, known), depth, normals, known)
+        # Trained on pinhole images of scans, the network knows no black rim and no robot: to it, these pixels are holes.
+        moving = hole == MOVING
+        known = np.where((hole == OUTSIDE) | moving, np.uint8(NOTHING), hole)
+        seen_depth = np.where(moving, np.float32(np.inf), depth) if moving.any() else depth
+        values = packed(filled_colour(colour, known), seen_depth, normals, known)
         padding = ((0, 0), (0, 0), (0, -height % MULTIPLE), (0, -width % MULTIPLE))
         values = np.pad(values, padding, mode="edge") if height % MULTIPLE or width % MULTIPLE else values
         outputs = run(self._session, self._file, {self._name: values})
         image = _planes(outputs[0], self._file, (1, 3, *values.shape[2:]))[0, :, :height, :width]
         out = _near_holes(_bytes(image), colour, holes)
-        np.copyto(out, colour, where=((hole == UNSEEN) | (hole == OUTSIDE) | (hole == MOVING))[:, :, None])
+        np.copyto(out, colour, where=((hole == UNSEEN) | (hole == OUTSIDE) | moving)[:, :, None])
         if not with_depth:
             return Filled(out)
         if not self._has_depth:
@@ -141,7 +143,7 @@ class MiGanPipeline:
         """See ``Filler``."""
 
         def inpainted() -> U8:
-            known = np.where(is_hole(hole) | (hole == OUTSIDE), 0, 255).astype(np.uint8)
+            known = np.where(is_hole(hole) | (hole == OUTSIDE) | (hole == MOVING), 0, 255).astype(np.uint8)
             feeds = {"image": np.ascontiguousarray(colour.transpose(2, 0, 1))[None], "mask": known[None, None]}
             image = run(self._session, self._file, feeds)[0]
             if image.shape != (1, 3, *hole.shape) or image.dtype != np.uint8:
@@ -163,7 +165,7 @@ class MiGanGenerator:
         size = (self._side, self._side)
 
         def inpainted() -> U8:
-            known = cv2.resize(((hole == SURFACE) | (hole == MOVING)).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+            known = cv2.resize((hole == SURFACE).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
             small = cv2.resize(colour, size, interpolation=cv2.INTER_LINEAR).astype(np.float32) / 127.5 - 1.0
             values = np.concatenate([known[None] - 0.5, small.transpose(2, 0, 1) * known]).astype(np.float32)[None]
             image = _planes(run(self._session, self._file, {self._name: values})[0], self._file, (1, 3, *size))[0]

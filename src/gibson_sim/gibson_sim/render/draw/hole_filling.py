@@ -84,7 +84,7 @@ class HoleFilling:
             holes[outside_of(raw_normals)] = OUTSIDE
         filled_depth = None
         if colours:
-            marked = np.where(in_colours & _is_surface(holes), np.uint8(NOTHING), holes)
+            marked = np.where(in_colours & ((holes == SURFACE) | (holes == MOVING)), np.uint8(NOTHING), holes)
             filled = _filled(filler, camera, colour, depth, normals, marked, with_depth=with_depth and blurred is None)
             filled_depth = filled.depth
             raw_color[:, :, :3] = filled.colour
@@ -138,11 +138,6 @@ def _wrapped(values: NDArray[Value], columns: int) -> NDArray[Value]:
 def _dilate(hole: U8) -> U8:
     """Returns a hole image with holes dilated by one pixel: colours of these pixels are partly blended with the background."""
     out = hole.copy()
-    rim = (cv2.dilate(is_hole(hole).astype(np.uint8), _NEIGHBOURS) != 0) & _is_surface(hole)
+    rim = (cv2.dilate(is_hole(hole).astype(np.uint8), _NEIGHBOURS) != 0) & (hole == SURFACE)
     out[rim] = NOTHING
     return out
-
-
-def _is_surface(hole: U8) -> Bools:
-    """Returns the mask of the surfaces in a hole image (H, W) for fillers."""
-    return np.asarray((hole == SURFACE) | (hole == MOVING))

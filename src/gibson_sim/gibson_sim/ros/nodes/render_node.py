@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -87,6 +87,8 @@ class RenderNode(Node):
         # Fails now, not when the scene arrives.
         open_context(device_of(self._config), library=self._config.egl_library).close()
         self._scene: DrawnScene | None = None
+        self._refused: dict[str, CameraSpec] = {}
+        """Cameras of the scene without images, since their hole filling cannot be loaded, by name."""
         self._cameras: dict[int, CameraPublisher] = {}
         """Index in the scene -> publisher of the camera."""
         self._state_subscription: Any = None
@@ -180,6 +182,7 @@ class RenderNode(Node):
     def _update_cameras(self, scene: DrawnScene) -> None:
         """Creates the publishers of new cameras, keeps those of unchanged cameras, and destroys the others."""
         by_name = {camera.name: camera for camera in scene.cameras}
+        self._refused = {name: camera for name, camera in self._refused.items() if by_name.get(name) == camera}
         requested, registrations = self._config.wanted_cameras(), self._config.registrations()
         try:
             self._config.check_cameras(tuple(by_name))
@@ -209,10 +212,16 @@ class RenderNode(Node):
     def _can_fill(self, camera: CameraSpec, *, first: bool) -> bool:
         """Loads the hole filling of a camera; returns False if that fails, which ends the node if it happens in the first scene."""
         assert self._renderer is not None
+        if self._refused.get(camera.name) == camera:
+            return False
         try:
             self._renderer.prepare([camera])
         except ConfigError as error:
-            self._failure = error if first else self._failure
+            if first:
+                self._failure = ConfigError(f"camera {quoted(camera.name)}: {error}")
+                return False
+            self._refused[camera.name] = camera
+            self._stats.count_failed(camera)
             self.get_logger().warning(f"camera {camera.name}: no images: {error}")
             return False
         return True
@@ -409,7 +418,7 @@ class RenderNode(Node):
         if self._renderer is None:
             return
         values = self._stats.since_last_report()
-        level, message = _rating(values)
+        level, message = _rating(values, self._refused)
         note_in_job(STATUS.format(self.get_name()), json.dumps(values))
         status = DiagnosticStatus(
             level=level,
@@ -434,8 +443,10 @@ class RenderNode(Node):
             self._renderer = None
 
 
-def _rating(values: Mapping[str, float]) -> tuple[bytes, str]:
-    """Returns level and message of the diagnostics for statistics since the last report."""
+def _rating(values: Mapping[str, float], refused: Collection[str]) -> tuple[bytes, str]:
+    """Returns level and message of the diagnostics for statistics since the last report, and the cameras without images."""
+    if refused:
+        return DiagnosticStatus.ERROR, f"no images of {', '.join(refused)}: see the warnings in the log"
     if values["failed"]:
         return DiagnosticStatus.ERROR, "images cannot be rendered: see the warnings in the log"
     if values["skipped"]:

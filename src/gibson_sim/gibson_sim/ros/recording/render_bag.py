@@ -28,7 +28,7 @@ from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, CameraSchedule, sce
 from gibson_sim.bags.writer import BagWriter, Compression
 from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
-from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.errors import ConfigError, GibsonSimError, RenderError
 from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.maps.floor_extent import extent_of_drawn
@@ -318,7 +318,13 @@ class _Rendering:
             new_msg = conversions.scene_state_to_msg(moment, due, getattr(msg, "epoch", 0), getattr(msg, "epoch_step", 0))
             self._write(queue, [RawItem(self._topics.state, serialize_message(new_msg), log_ns)])
             if due:
-                self._draw(queue, moment, [self._drawn.cameras[k].name for k in due], log_ns)
+                try:
+                    self._draw(queue, moment, [self._drawn.cameras[k].name for k in due], log_ns)
+                except (ConfigError, RenderError) as error:
+                    seconds = (log_ns - self._bag.span_ns[0]) / NS_PER_S
+                    raise RenderError(
+                        f"{seconds:.3f} s after the start of the bag: {error}; {self._job.output} ends there"
+                    ) from error
 
     def _load(self, queue: BagQueue, scene: DrawnScene, stamp_ns: int, log_ns: int) -> None:
         """Loads a scene, or the changes of a loaded one."""
