@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -94,6 +95,27 @@ def test_without_one_of_its_stamp_it_is_the_newest_of_its_size_with_its_header()
     assert infos.of_image(_image(7).header, 30, 6) is None
 
 
+def test_one_of_its_stamp_but_of_another_size_is_not_that_of_the_image_nor_is_an_older_one() -> None:
+    infos = CameraInfos(5)
+    for info in (_info(1), _info(2, width=20)):
+        infos.add(info)
+    assert infos.of_image(_image(2).header, 10, 6) is None
+    assert infos.of_image(_image(2).header, 20, 6) == _info(2, width=20)
+
+
+def test_the_camera_info_of_the_whole_sensor_is_that_of_a_region_and_of_binned_images() -> None:
+    infos = CameraInfos(5)
+    region = _info(1, width=40)
+    region.roi.width, region.roi.height, region.binning_x, region.binning_y = 20, 6, 2, 1
+    uncalibrated = CameraInfo()
+    uncalibrated.header.stamp.sec = 2
+    for info in (region, uncalibrated):
+        infos.add(info)
+    assert infos.of_image(_image(1).header, 10, 6) == region
+    assert infos.of_image(_image(1).header, 20, 6) is None
+    assert infos.of_image(_image(2).header, 10, 6) == uncalibrated
+
+
 def test_only_the_newest_camera_infos_are_kept() -> None:
     infos = CameraInfos(2)
     for second in (1, 2, 3):
@@ -119,9 +141,53 @@ def test_a_camera_info_without_an_image_is_not_published_and_one_of_another_size
     node._on_image(_image(2))
     assert _stamps(node) == [("Image", 2, "front_optical")]
     assert node.lines == [
-        "/camera/camera_info is of 20x6 pixels, images are 10x6 and have other stamps: they are published without camera_info; publish that "
-        "of the same camera and size"
+        "an image has 10x6 pixels, /camera/camera_info is of 20x6: such images are published without camera_info; publish that of the same "
+        "camera and size"
     ]
+
+
+def _infos_that_come_late(monkeypatch: pytest.MonkeyPatch, node: Any, *late: list[CameraInfo]) -> None:
+    """Lets the node find camera_infos at the n-th look into their queue, at ``late[n]``."""
+    queue = iter(late)
+    monkeypatch.setattr(
+        "gibson_path_following.nodes.goggles.pop_queue", lambda of: next(queue, ()) if of is node._info_sub else ()
+    )
+    monkeypatch.setattr(node, "count_publishers", lambda topic: topic == "/camera/camera_info")
+
+
+def test_the_first_image_of_each_size_waits_for_its_camera_info(
+    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = make()
+    node._infos.add(_info(1, width=20))
+    node._size = (20, 6)
+    _infos_that_come_late(monkeypatch, node, [], [_info(2, fx=7.0)])
+    node._on_image(_image(2))
+    assert node.sent[0] == _info(2, fx=7.0)
+    assert _stamps(node) == [("CameraInfo", 2, "info_optical"), ("Image", 2, "front_optical")] and node.lines == []
+
+
+def test_an_image_does_not_wait_longer_than_allowed_nor_a_second_one_of_its_size(
+    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, slept = make(), list[float]()
+    monkeypatch.setattr(
+        "gibson_path_following.nodes.goggles.time",
+        SimpleNamespace(monotonic=lambda: sum(slept), sleep=slept.append),
+    )
+    _infos_that_come_late(monkeypatch, node)
+    node._on_image(_image(1))
+    assert 0.05 <= sum(slept) < 0.06 and _stamps(node) == [("Image", 1, "front_optical")]
+    slept.clear()
+    node._on_image(_image(2))
+    assert slept == []
+
+
+def test_an_image_does_not_wait_if_no_camera_info_is_published(make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    node = make()
+    monkeypatch.setattr("gibson_path_following.nodes.goggles.time.sleep", lambda _: pytest.fail("it has waited"))
+    node._on_image(_image(1))
+    assert _stamps(node) == [("Image", 1, "front_optical")]
 
 
 # Images

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -28,6 +29,10 @@ _OUTPUT = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 """As camera drivers publish (REP 2003): subscribers with either reliability receive the images."""
 _COUNTS_PERIOD_S = 10
 """Time between two lines with the counts of images, seconds of wall time."""
+
+
+_INFO_TIMEOUT_S = 0.05
+"""Timeout for the camera_info of the first image of a new size, seconds of wall time."""
 
 
 class GogglesNode(Node):
@@ -62,6 +67,8 @@ class GogglesNode(Node):
         self._check_inputs(o.image_topic, info_topic)
         self._queue: ImageQueue[Any] = ImageQueue(o.queue_size)
         self._infos = CameraInfos(_DEPTH + o.queue_size)
+        self._size: tuple[int, int] | None = None
+        """Width and height of the newest adapted image, pixels."""
         self._logged = ImageCounts()
         """Counts at the last line about them."""
         kind = conversions.image_type(self, o.image_topic)
@@ -125,18 +132,32 @@ class GogglesNode(Node):
         height, width = adapted.shape[:2]
         out = Image(header=header, height=height, width=width, encoding="rgb8", step=3 * width)
         out.data = adapted.tobytes()
-        for msg in pop_queue(self._info_sub):  # those that came while the image was adapted
-            self._infos.add(msg)
-        info = self._infos.of_image(header, width, height)
+        info = self._info(header, width, height)
         if info is not None:
             self._info_pub.publish(info)
         elif (newest := self._infos.newest) is not None:
             self.get_logger().warning(
-                f"{self._info_sub.topic_name} is of {newest.width}x{newest.height} pixels, images are {width}x{height} and have other stamps: they "
-                "are published without camera_info; publish that of the same camera and size",
+                f"an image has {width}x{height} pixels, {self._info_sub.topic_name} is of {newest.width}x{newest.height}: such images are published "
+                "without camera_info; publish that of the same camera and size",
                 throttle_duration_sec=5.0,
             )
         self._image_pub.publish(out)
+
+    def _info(self, header: Any, width: int, height: int) -> Any | None:
+        """Returns the camera_info of an image; None = there is none.
+
+        Waits for that of the first image of a new size: most cameras publish it just after the image.
+        """
+        is_new, self._size = (width, height) != self._size, (width, height)
+        may_wait = is_new and self.count_publishers(self._info_sub.topic_name) > 0
+        end = time.monotonic() + _INFO_TIMEOUT_S
+        while True:
+            for msg in pop_queue(self._info_sub):
+                self._infos.add(msg)
+            info = self._infos.of_image(header, width, height)
+            if info is not None or self._infos.has_stamp(header) or not may_wait or time.monotonic() > end:
+                return info
+            time.sleep(0.002)
 
     def _log_counts(self) -> None:
         counts = self._queue.counts
