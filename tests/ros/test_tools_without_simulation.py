@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 
@@ -15,10 +16,16 @@ from support.simulation import PATIENCE_S, Launched, require
 require("rclpy", "gibson_msgs")
 
 import rclpy  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 
+from gibson_msgs.msg import RunInfo  # noqa: E402
 from gibson_sim.errors import GibsonSimError  # noqa: E402
 from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
+from gibson_sim.ros.nodes.physics_node import PhysicsNode  # noqa: E402
+from gibson_sim.ros.services import simulation_services  # noqa: E402
 from gibson_sim.ros.tools import nodes, topics  # noqa: E402
+from gibson_sim.ros.tools.hints import PHYSICS  # noqa: E402
 from gibson_sim.ros.tools.tool import PATIENCE_S as TOPIC_PATIENCE_S, USUAL_DISCOVERY_S, Tool  # noqa: E402
 from gibson_sim.ros.topics.discovery import DISCOVERY_S  # noqa: E402
 
@@ -122,6 +129,51 @@ def test_a_simulation_that_loads_its_scene_is_awaited(
     assert errors.startswith("waiting for /physics, /render: the simulation is starting\n") and "names may be missing" in errors
     with pytest.raises(GibsonSimError, match="the simulation is starting, waiting for /physics, /render: try again"):
         topics.topic_info(tool, "/camera/image_raw")
+
+
+def test_the_physics_node_is_awaited_until_its_subscriptions_are_discovered(
+    tool: Counting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tool.create_publisher(RunInfo, "run_info", 1)
+    (endpoint,) = tool.get_publishers_info_by_topic(info.topic_name)
+    endpoint.node_name = "physics"
+    monkeypatch.setattr(tool, "get_publishers_info_by_topic", lambda topic: [endpoint])
+    monkeypatch.setattr(tool, "known_nodes", lambda: ["/physics"])
+    services: list[tuple[str, list[str]]] = [("/pause", ["std_srvs/srv/Trigger"])]
+    monkeypatch.setattr(tool, "get_service_names_and_types_by_node", lambda name, namespace: services)
+    assert tool.loading(PHYSICS) == "/physics"
+    services.append(("/get_simulation_state", ["simulation_interfaces/srv/GetSimulationState"]))
+    assert tool.loading(PHYSICS) == ""
+
+
+def test_get_simulation_state_is_the_last_subscription_of_the_physics_node(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """DDS announces subscriptions in the order in which they were made: once it is discovered, all are."""
+    made: list[str] = []
+
+    def record(owner: Any, method: str, position: int) -> None:
+        make = getattr(owner, method)
+
+        def recorded(*args: Any, **kwargs: Any) -> Any:
+            made.append(args[position])
+            return make(*args, **kwargs)
+
+        monkeypatch.setattr(owner, method, recorded)
+
+    record(Node, "create_subscription", 2)
+    record(Node, "create_service", 2)
+    record(simulation_services, "ActionServer", 2)
+    rclpy.init(args=[])
+    parameters = [
+        Parameter(name, value=value) for name, value in (("scene", "flat"), ("robot", "gibson_bot"), ("lockstep", True))
+    ]
+    node = PhysicsNode(use_global_arguments=False, parameter_overrides=parameters)
+    node.close()
+    node.destroy_node()
+    rclpy.try_shutdown()
+    assert {"cmd_vel", "simulate_steps", "get_current_world"} <= {name.removeprefix("/") for name in made}
+    assert made[-1] == "get_simulation_state"
 
 
 def test_a_simulation_that_is_not_discovered_yet_is_awaited(

@@ -111,12 +111,14 @@ class PhysicsNode(Node):
         self._published_epoch = -1
         self._timer: Timer | None = None
         self._done = self._announced = False
-        self._sim_services = SimulationServices(
-            self, self.simulator, config.service_prefix, self._journal.record, config.lockstep
-        )
         self._publish_changes()
         if self._gate is not None:
             self._gate.subscribe(self._stamped)
+        # After all other subscriptions, as run_info after all other publishers: DDS announces either in the order of their creation, so
+        # that a program which discovers both knows the whole node.
+        self._sim_services = SimulationServices(
+            self, self.simulator, config.service_prefix, self._journal.record, config.lockstep
+        )
         note_in_job(LOADED, loaded_note(self.simulator.scene, self._world_topics.cameras))
         spec = self.simulator.scene
         self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)

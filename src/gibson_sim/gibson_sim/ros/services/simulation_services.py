@@ -104,10 +104,6 @@ class SimulationServices:
         """File searches that wait for the running one."""
         self._searching = False
         group = ReentrantCallbackGroup()
-        self._services = [
-            DeferredService(node, kind, f"{prefix}{name}", partial(self._on_request, name, handler), callback_group=group)
-            for kind, name, handler in self._table()
-        ]
         self._action = ActionServer(
             node,
             SimulateSteps,
@@ -117,6 +113,11 @@ class SimulationServices:
             cancel_callback=self._on_cancel,
             callback_group=group,
         )
+        self._services = [
+            DeferredService(node, kind, f"{prefix}{name}", partial(self._on_request, name, handler), callback_group=group)
+            # GetSimulationState is the last one: once it is discovered, the others are, too.
+            for kind, name, handler in sorted(self._table(), key=lambda entry: entry[0] is srv.GetSimulationState)
+        ]
 
     @property
     def quit_is_answered(self) -> bool:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -140,6 +140,8 @@ class Tool(Node):
         topics = [topic for topic, kinds in self.known_topics().items() if "gibson_msgs/msg/RunInfo" in kinds]
         publishers = [info for topic in topics for info in self.get_publishers_info_by_topic(topic)]
         loaded = {full_name(info.node_namespace, info.node_name) for info in publishers}
+        # Subscriptions are discovered independently of publishers; the last one of the physics node is that of GetSimulationState.
+        loaded -= {node for node in loaded if node.rpartition("/")[2] == PHYSICS and not simulation_runs(self._services_of(node))}
         nodes = loading_nodes(awaited, {*self.known_nodes(), *self.nodes_with_parameters()}, loaded)
         if not nodes and awaited and not self.simulation_runs() and is_held(self.context.get_domain_id()):
             return "the physics node"  # it is not discovered yet
@@ -152,6 +154,14 @@ class Tool(Node):
     def known_services(self) -> dict[str, list[str]]:
         """Returns service -> types of the graph."""
         return dict(self.get_service_names_and_types())
+
+    def _services_of(self, node: str) -> dict[str, list[str]]:
+        """Returns service -> types of the services of a node whose subscriptions for requests are discovered."""
+        namespace, _, name = node.rpartition("/")
+        try:
+            return dict(self.get_service_names_and_types_by_node(name, namespace or "/"))
+        except NodeNameNonExistentError:  # it has ended
+            return {}
 
     def offered_services(self) -> dict[str, list[str]]:
         """Returns service -> types of the services that nodes offer; the graph also contains services that have clients only."""
