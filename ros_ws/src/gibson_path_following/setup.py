@@ -40,7 +40,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            f"{name} = {NAME}.nodes.{name}:main"
+            f"{name} = {NAME}.nodes.start:{name}"
             for name in ("path_recorder", "path_localiser", "path_policy", "path_evaluator", "camera_faults", "goggles")
         ]
     },

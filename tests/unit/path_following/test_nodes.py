@@ -39,7 +39,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 from gibson_path_following import path_folder  # noqa: E402
 from gibson_path_following.errors import ModelError, PathFolderError, PathFollowingError, SettingError, ViewError  # noqa: E402
-from gibson_path_following.nodes import camera_input, conversions  # noqa: E402
+from gibson_path_following.nodes import camera_input, conversions, running  # noqa: E402
 from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
 from gibson_path_following.nodes.image_watch import ImageWatch  # noqa: E402
 from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
@@ -791,6 +791,50 @@ def test_sigint_ends_a_node_in_the_background_of_a_script_and_a_second_one_does_
     with pytest.raises(SystemExit) as ended:
         run_node(Interrupted, Options, [])
     assert ended.value.code == 0 and capsys.readouterr().out == "stopped\n"
+
+
+class InterruptedImport(Node):
+    """Gets SIGINT while it imports a package that turns KeyboardInterrupt into an error, as onnxruntime does."""
+
+    def __init__(self) -> None:
+        super().__init__("interrupted")
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ModelError("goggles.onnx needs onnxruntime, which is not installed") from None
+
+
+@pytest.mark.usefixtures("ros_domain", "handlers")
+def test_sigint_during_an_import_that_hides_it_ends_a_node_silently(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run_node(InterruptedImport, Options, [])
+    assert ended.value.code == 0 and capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_sigint_ends_a_program_silently_while_it_imports_its_modules(name: str) -> None:
+    """A finder that comes first interrupts the import of the module of the node."""
+    script = (
+        "import os, signal, sys\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, *_):\n"
+        f"        if name == 'gibson_path_following.nodes.{name}': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "from importlib.metadata import entry_points\n"
+        f"(program,) = entry_points(group='console_scripts', name='{name}')\n"
+        "program.load()()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+
+
+@pytest.mark.usefixtures("ros_domain", "handlers")
+def test_sigint_while_ros_starts_ends_a_program_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[Any] = []
+    monkeypatch.setattr(running.rclpy, "init", lambda **_: found.append(signal.getsignal(signal.SIGINT)))
+    with pytest.raises(SystemExit):
+        run_node(Interrupted, Options, ["kitchen"])
+    assert found == [signal.SIG_DFL]
 
 
 def test_descriptions_and_ranges_are_declared(context: Any, folder: Path) -> None:

@@ -40,9 +40,8 @@ def run_node(kind: type[Any], options: type[Options], args: list[str] | None = N
         _print(help_text(kind, options))
         sys.exit(0)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
-    # Python sets no handler of SIGINT in a process that a shell script started in the background.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end)
+    # Before there is a node nothing has to end in order; KeyboardInterrupt would leave a traceback of rclpy.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     # Python has surrogates for bytes that are not UTF-8; rclpy cannot encode them.
     if unreadable := [arg for arg in args if any("\ud800" <= character <= "\udfff" for character in arg)]:
         print(f"error: argument {quoted(unreadable[0])} is not UTF-8", file=sys.stderr)
@@ -57,16 +56,24 @@ def run_node(kind: type[Any], options: type[Options], args: list[str] | None = N
         unknown = "unknown ROS arguments: " if type(error).__name__ == "UnknownROSArgsError" else ""
         print(f"error: ROS cannot start: {unknown}{error}", file=sys.stderr)
         sys.exit(1)
-    node, code = None, 0
+    node, code, end = None, 0, _End()
     try:
+        # Python sets no handler of SIGINT in a process that a shell script started in the background.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, end)
         if others := remove_ros_args(args):
             raise SettingError(
                 f"argument {quoted(others[0])} is unknown; parameters are given as --ros-args -p NAME:=VALUE; --help lists them"
             )
-        node = kind()
+        try:
+            node = kind()
+        except Exception:
+            if end.is_requested:  # imports, such as that of onnxruntime, turn KeyboardInterrupt into other errors
+                raise KeyboardInterrupt from None
+            raise
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while rclpy.ok() and node.exit_code is None:
+        while rclpy.ok() and node.exit_code is None and not end.is_requested:
             executor.spin_once(timeout_sec=0.5)
         code = node.exit_code or 0
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -135,6 +142,12 @@ def _stopped(node: Any) -> int:
     return 0
 
 
-def _end(number: int, frame: object) -> NoReturn:
-    """Ends the program on SIGINT and SIGTERM."""
-    raise KeyboardInterrupt
+class _End:
+    """Handler of SIGINT and SIGTERM, which end the program."""
+
+    is_requested = False
+
+    def __call__(self, number: int, frame: object) -> NoReturn:
+        """Raises KeyboardInterrupt."""
+        self.is_requested = True
+        raise KeyboardInterrupt
