@@ -42,4 +42,5 @@ def test_they_say_what_they_wait_for_and_give_up_in_time(ros_domain: int, tmp_pa
         assert process.returncode == 1, f"{name}: {error}"
         assert f"INFO waiting, at most 4 s, {simulation}" in error
         assert f"error: waited 4 s {simulation}" in error
+        assert (", or play a bag with `gibson-sim bag play --clock`\n" in error) == (name == "record")
         assert "Traceback" not in error

@@ -237,6 +237,20 @@ def test_compressed_database_is_refused() -> None:
         RecordConfig(output="bag", storage="sqlite3", compression="zstd")
 
 
+def test_report_says_why_a_bag_without_clock_is_empty(tmp_path: Path, messages: Any) -> None:
+    recorder = _Recorder(tmp_path / "bag", messages)
+    recorder.say("hello", "again")
+    summary = recorder.recording.summary()
+    assert summary["messages"] == {} and summary["before_clock"] == 2
+    assert report_lines(summary)[-1] == (
+        "WARNING: 2 messages are not recorded, since no /clock had come to give them a time; start the simulation first, or play a bag with "
+        "`gibson-sim bag play --clock`"
+    )
+    recorder.clock(NS)
+    assert recorder.recording.summary()["before_clock"] == 0
+    recorder.recording.close()
+
+
 def test_report_marks_losses() -> None:
     summary = {
         "bags": ["/tmp/bag"], "messages": {"/a": 3, "/odom": 40, "/tf": 2}, "bytes": {"/a": 1_500_000, "/odom": 2000, "/tf": 9},

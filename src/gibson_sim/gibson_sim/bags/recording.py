@@ -193,7 +193,7 @@ class Recording:
             "storage": self._config.storage,
             "messages": {topic: self._messages[topic] for topic in sorted(self._topics) if self._messages[topic]},
             "bytes": {topic: self._bytes[topic] for topic in sorted(self._topics) if self._messages[topic]},
-            "before_clock": self._unwritten,
+            "before_clock": self._unwritten + len(self._waiting),
             "error": self.error,
         }
 
@@ -317,6 +317,11 @@ def report_lines(summary: dict[str, Any]) -> list[str]:
     if any(missing.values()):
         names = ", ".join(f"{topic} {count}" for topic, count in sorted(missing.items()) if count)
         lines.append(f"WARNING: messages were lost on the way: {names}; record fewer topics, or on a faster machine or disk")
+    if early := summary.get("before_clock", 0):
+        lines.append(
+            f"WARNING: {early} messages are not recorded, since no /clock had come to give them a time; start the simulation first, or play a "
+            "bag with `gibson-sim bag play --clock`"
+        )
     for topic, hint in summary.get("absent", {}).items():
         lines.append(f"WARNING: nothing is recorded of {topic}, which no node publishes{f'; {hint}' if hint else ''}")
     if summary["error"]:

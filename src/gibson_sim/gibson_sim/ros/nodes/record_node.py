@@ -130,7 +130,8 @@ class RecordNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self._find_topics, clock=steady)
         self.create_timer(config.flush_period, self._recording.flush, clock=steady)
-        self._simulation = WaitCondition.for_simulation(self, names.CLOCK, config.timeout)
+        bag = "play a bag with `gibson-sim bag play --clock`"
+        self._simulation = WaitCondition.for_simulation(self, names.CLOCK, config.timeout, alternative=bag)
         self._find_topics()
 
     def _find_topics(self) -> None:

@@ -50,14 +50,21 @@ class WaitCondition:
         self._met = False
 
     @classmethod
-    def for_simulation(cls, node: Node, topic: str, timeout_s: float = 0.0) -> WaitCondition:
-        """Returns the condition that a simulation publishes ``topic``; without timeout under the launcher, which has its own."""
+    def for_simulation(cls, node: Node, topic: str, timeout_s: float = 0.0, *, alternative: str = "") -> WaitCondition:
+        """Returns the condition that a simulation publishes ``topic``; without timeout under the launcher, which has its own.
+
+        Args:
+            node: node that waits.
+            topic: topic of the simulation.
+            timeout_s: time after which the node gives up, s of wall time; 0 = never.
+            alternative: what else publishes the topic, completes ``or <alternative>``.
+        """
         return cls(
             node,
             f"a simulation that publishes {node.resolve_topic_name(topic)} in ROS domain {node.context.get_domain_id()}",
             lambda: node.count_publishers(topic) > 0,
             timeout_s=0.0 if started_by_launcher() else timeout_s,
-            remedy=f"start one with {start_hint()}",
+            remedy=f"start one with {start_hint()}{f', or {alternative}' if alternative else ''}",
         )
 
     def is_met(self) -> bool:
