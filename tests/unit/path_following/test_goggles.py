@@ -25,9 +25,12 @@ from support.path_views import straight_path
 MIRRORED = {"channels": np.array([2, 1, 0], dtype=np.int64)}
 
 
-def network(height: int | str = "height", width: int | str = "width", small: str = "small", out: str = "image") -> bytes:
+def network(
+    height: int | str = "height", width: int | str = "width", small: str = "small", out: str = "image", *,
+    small_type: str = "uint8", small_shape: tuple[int | str, ...] = (1, 64, 96, 3),
+) -> bytes:  # fmt: skip
     """Returns a network that exchanges red and blue."""
-    inputs = [ox.value("image", "uint8", [1, height, width, 3]), ox.value(small, "uint8", [1, 64, 96, 3])]
+    inputs = [ox.value("image", "uint8", [1, height, width, 3]), ox.value(small, small_type, small_shape)]
     gather = ox.node("Gather", [out, "channels"], "adapted", axis=3)
     return ox.model([gather], inputs, [ox.value("adapted", "uint8", [1, height, width, 3])], MIRRORED)
 
@@ -109,6 +112,10 @@ def _with_two_outputs() -> bytes:
     )
 
 
+REQUIRED = r"must have the inputs image uint8 \(1, any, any, 3\) and small uint8 \(1, 64, 96, 3\) and one output; use a file that"
+IMAGE = r"image uint8 \(1, any, any, 3\)"
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -116,9 +123,12 @@ def _with_two_outputs() -> bytes:
         (b"GIF89a and so on", r"is not an ONNX file, or is truncated"),
         (network()[:-40], r"is not an ONNX file, or is truncated"),
         (_with_external_data(), r"has its weights in other files, which are not read"),
-        (network(small="thumbnail"), r"has the inputs 'image, thumbnail' and 1 output, must have the inputs image and small and one output;"),
-        (_with_two_outputs(), r"has the inputs 'image, small' and 2 outputs, must have .* one output"),
-        (network(height=64, width=96), r"cannot be run: "),
+        (network(small="thumbnail"), rf"has the inputs '{IMAGE}, thumbnail uint8 \(1, 64, 96, 3\)' and 1 output, {REQUIRED}"),
+        (network(small_shape=(1, 32, "b", 3)), rf"has the inputs '{IMAGE}, small uint8 \(1, 32, any, 3\)' and 1 output, {REQUIRED}"),
+        (network(small_shape=(1, 64, 96)), rf"has the inputs '{IMAGE}, small uint8 \(1, 64, 96\)' and 1 output, {REQUIRED}"),
+        (network(small_type="float32"), rf"has the inputs '{IMAGE}, small float \(1, 64, 96, 3\)' and 1 output, {REQUIRED}"),
+        (network(height=64, width=96), rf"has the inputs 'image uint8 \(1, 64, 96, 3\), small uint8 .*' and 1 output, {REQUIRED}"),
+        (_with_two_outputs(), rf"and 2 outputs, {REQUIRED}"),
         (network(out="small"), r"its output is uint8 \(1, 64, 96, 3\), must be uint8 \(1, 22, 34, 3\), as its image"),
     ],
 )  # fmt: skip
@@ -126,6 +136,12 @@ def test_a_file_that_is_no_such_network_is_refused_in_one_line(tmp_path: Path, c
     with pytest.raises(ModelError, match=words) as caught:
         make_goggles("learned", str(write(tmp_path, content)))
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
+
+
+def test_sizes_of_small_that_a_file_leaves_free_fit(tmp_path: Path) -> None:
+    for shape in (("n", "h", "w", "c"), (1, "h", "w", 3)):
+        file = write(tmp_path, network(small_shape=shape))
+        assert make_goggles("learned", str(file))(np.full((5, 7, 3), (1, 2, 3), np.uint8))[0, 0].tolist() == [3, 2, 1]
 
 
 def test_what_cannot_be_is_refused_with_what_can(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -38,7 +38,8 @@ _LARGEST_GAIN = 64.0
 _CODES = np.arange(256, dtype=np.float64) / 255.0
 _LINEAR = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4)
 """sRGB level -> linear light, 0 to 1."""
-_INPUTS = ("image", "small")
+_INPUTS = {"image": (1, None, None, 3), "small": (1, SMALL[1], SMALL[0], 3)}
+"""Inputs of the network, all uint8 -> shape; None = any size."""
 
 
 class Goggles(Protocol):
@@ -143,12 +144,13 @@ class LearnedGoggles:
             ModelError: onnxruntime is not installed, or the file holds no such network.
         """
         self._file, self._session = file, open_session(file)
-        names = tuple(each.name for each in self._session.get_inputs())
-        number = len(self._session.get_outputs())
-        if names != _INPUTS or number != 1:
+        inputs, number = self._session.get_inputs(), len(self._session.get_outputs())
+        if {each.name for each in inputs} != set(_INPUTS) or not all(map(_fits, inputs)) or number != 1:
+            found = ", ".join(_described(each.name, each.type, each.shape) for each in inputs)
+            required = " and ".join(_described(name, "uint8", shape) for name, shape in _INPUTS.items())
             raise ModelError(
-                f"{file} has the inputs {quoted(', '.join(names))} and {number} output{'s' * (number != 1)}, must have the inputs "
-                f"{' and '.join(_INPUTS)} and one output; use a file that gibson-sim learn goggles wrote"
+                f"{file} has the inputs {quoted(found)} and {number} output{'s' * (number != 1)}, must have the inputs {required} and one output; "
+                "use a file that gibson-sim learn goggles wrote"
             )
         for width, height in ((96, 64), (34, 22)):  # it must accept any size
             self(np.zeros((height, width, 3), np.uint8))
@@ -168,6 +170,21 @@ class LearnedGoggles:
                 f"{self._file}: its output is {found.dtype} {found.shape}, must be uint8 {(1, *even.shape)}, as its image"
             )
         return np.ascontiguousarray(found[0, :height, :width])
+
+
+def _fits(found: Any) -> bool:
+    """Returns whether an input of a network has the required type and shape; a size that the file leaves free fits any."""
+    required = _INPUTS[found.name]
+    if found.type != "tensor(uint8)" or len(found.shape) not in (0, len(required)):  # 0 = the file leaves the shape free
+        return False
+    sizes = zip(found.shape, required, strict=False)
+    return all(not isinstance(size, int) or size == must for size, must in sizes)
+
+
+def _described(name: str, kind: str, shape: Iterable[Any]) -> str:
+    """Returns name, type and shape of an input in one text: ``small uint8 (1, 64, 96, 3)``."""
+    sizes = ", ".join(str(size) if isinstance(size, int) else "any" for size in shape)
+    return f"{name} {kind.removeprefix('tensor(').rstrip(')')} ({sizes})"
 
 
 def make_goggles(mode: str, model: str = "", reference: ColourReference | None = None) -> Goggles:
