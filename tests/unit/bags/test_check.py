@@ -63,6 +63,17 @@ def test_image_without_its_camera_info_is_a_problem(messages: Any, tmp_path: Pat
     )
 
 
+def test_image_type_that_the_bag_defines_without_a_header_is_a_problem(messages: Any, tmp_path: Path) -> None:
+    definitions = {"sensor_msgs/msg/Image": "uint32 height\nuint32 width\n"}
+    with BagWriter(tmp_path / "bag", reserve_bytes=0, message_definitions=definitions) as bag:
+        bag.add_topic("/camera/image_raw", "sensor_msgs/msg/Image")
+        bag.add_topic("/camera/camera_info", "sensor_msgs/msg/CameraInfo")
+        bag.write("/camera/image_raw", messages.image(TICK, np.zeros((2, 2, 3), np.uint8), "rgb8"), 1, 1)
+        bag.write("/camera/camera_info", messages.camera_info(TICK), 1, 1)
+    problem = "/camera/image_raw: the bag defines sensor_msgs/msg/Image without a header, so that its images have no stamps"
+    assert problem in check_bag(tmp_path / "bag").problems
+
+
 def test_missing_images_are_counted_and_noted(write_drive: Callable[..., Path]) -> None:
     report = check_bag(write_drive(skip_images=(3, 4, 7)))
     assert report.ok

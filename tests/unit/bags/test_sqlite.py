@@ -43,6 +43,17 @@ def test_rosbags_reads_back_every_byte_and_time(tmp_path: Path, messages: Any) -
         assert reader.connections[0].ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
 
 
+def test_repair_refuses_timestamps_that_are_no_numbers(tmp_path: Path, messages: Any) -> None:
+    _write(tmp_path / "bag", messages)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    (file,) = (tmp_path / "bag").glob("*.db3")
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute("UPDATE messages SET timestamp = 'soon' WHERE id = 3")
+        connection.commit()
+    with pytest.raises(RecordError, match=r"is not a bag \(its timestamps are 1000 to 'soon', must be integers\)"):
+        repair(tmp_path / "bag")
+
+
 def test_tables_and_columns_are_those_that_rosbags_writes(tmp_path: Path, messages: Any) -> None:
     _write(tmp_path / "ours", messages)
     with RosbagsWriter(tmp_path / "theirs", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:

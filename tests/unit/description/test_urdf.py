@@ -35,6 +35,13 @@ def read(tmp_path: Path) -> Read:
     return _read
 
 
+@pytest.mark.parametrize(("what", "body"), [("link", '<link name="{}"/>'), ("joint", TWO_LINKS + joint("{}"))])
+def test_names_that_overflow_buffers_of_the_engine_are_refused(read: Read, what: str, body: str) -> None:
+    assert read(body.format("n" * 500)).name == "r"
+    with pytest.raises(RobotError, match=rf"{what} n+ \.\.\. n+ has a name of 501 bytes, at most 500 are allowed; shorten it"):
+        read(body.format("n" * 501))
+
+
 def test_root_comes_first_and_parents_before_children(read: Read) -> None:
     model = read('<link name="c"/><link name="b"/><link name="a"/>' + joint("j1", child="b") + joint("j2", parent="b", child="c"))
     assert [one.name for one in model.links] == ["a", "b", "c"]

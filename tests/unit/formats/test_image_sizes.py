@@ -10,6 +10,7 @@ import zlib
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from gibson_sim.errors import SceneError
@@ -49,6 +50,18 @@ def test_image_within_the_limits_is_decoded() -> None:
     assert pixels is not None
     assert pixels.tolist() == [[[9, 8, 7]]]
     assert decode_pixels(b"", cv2.IMREAD_COLOR) is None
+
+
+def test_png_with_a_chunk_that_claims_gigabytes_is_not_decoded() -> None:
+    png = bytearray(cv2.imencode(".png", np.zeros((8, 8, 3), np.uint8))[1].tobytes())
+    assert image_size(bytes(png)) is not None
+    png[33:37] = (0x7FFFFFFF).to_bytes(4, "big")  # of the chunk after the header; OpenCV allocates as much
+    assert image_size(bytes(png)) is None and decode_pixels(bytes(png), cv2.IMREAD_UNCHANGED) is None
+
+
+def test_png_that_is_cut_has_its_size() -> None:
+    png = cv2.imencode(".png", np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8))[1].tobytes()
+    assert image_size(png[: len(png) // 2]).width == 64
 
 
 def test_jpeg_of_fill_bytes_takes_no_time() -> None:

@@ -221,7 +221,12 @@ def check_bag(folder: str | Path) -> BagReport:
     compared = dict.fromkeys(("its camera_info", "an odometry"), 0)
     images = [topic for topic, info in infos.items() if info.type_name in IMAGE_TYPES and info.count]
     for topic in images:
-        partners = _partners(topic, infos)
+        if topic not in data.stamps:
+            problems.append(
+                f"{topic}: the bag defines {infos[topic].type_name} without a header, so that its images have no stamps"
+            )
+            continue
+        partners = [partner for partner in _partners(topic, infos) if partner in data.stamps]
         for partner in partners:
             if not (len(data.stamps[topic]) and len(data.stamps[partner])):
                 problems.append(
@@ -374,7 +379,7 @@ def _odometry(robot: str, infos: dict[str, TopicInfo], data: _Collected) -> Odom
     prefix = f"/{robot}/" if robot else "/"
     wheels = _odometry_topic(prefix, infos) or next((t for t in infos if t in data.poses and "ground_truth" not in t), "")
     truth = wheels.removesuffix("odom") + "ground_truth/odom"
-    if not wheels or truth not in data.poses:
+    if not wheels or truth not in data.poses or not {wheels, truth} <= data.stamps.keys():
         return None
     common, at_wheels, at_truth = np.intersect1d(data.stamps[wheels], data.stamps[truth], return_indices=True)
     if len(common) < 2:

@@ -177,6 +177,11 @@ def _contents(path: Path, connection: sqlite3.Connection, *, whole: bool) -> Fil
     rows = connection.execute("SELECT id, name, type, offered_qos_profiles, type_description_hash FROM topics ORDER BY id")
     counts = Counter(dict(connection.execute("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id").fetchall()))
     start, end = connection.execute("SELECT MIN(timestamp), MAX(timestamp) FROM messages").fetchone()
+    # SQLite stores values of any type in any column.
+    if not all(value is None or isinstance(value, int) for value in (start, end)):
+        raise RecordError(
+            f"{path} is not a bag (its timestamps are {start!r:.40} to {end!r:.40}, must be integers): nothing can be repaired"
+        )
     topics = tuple(
         TopicRecord(name, type_name, offered_qos(qos), type_hash, counts[number])
         for number, name, type_name, qos, type_hash in rows.fetchall()

@@ -14,9 +14,11 @@ from gibson_sim.description.mimic import Mimic
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.types import Pose, Rgba, Vec3
 
+MAX_NAME_BYTES = 500
+"""Maximum length of the name of a link or joint, bytes: the physics engine copies names into buffers of fixed size."""
 JOINT_TYPES = ("fixed", "continuous", "revolute", "prismatic", "floating", "planar")
 
 
@@ -148,6 +150,16 @@ class UrdfModel:
     warnings: tuple[str, ...] = field(default=())
     gazebo: GazeboTags = field(default_factory=GazeboTags)
     """Content of its ``<gazebo>`` elements."""
+
+    def __post_init__(self) -> None:
+        """Raises RobotError if a name is longer than the physics engine can hold, which would crash."""
+        for what, names in (("link", [link.name for link in self.links]), ("joint", [joint.name for joint in self.joints])):
+            longest = max(names, key=len, default="")
+            if len(longest.encode()) > MAX_NAME_BYTES:
+                raise RobotError(
+                    f"{self.path}: {what} {clipped(longest, 40)} has a name of {len(longest.encode())} bytes, at most {MAX_NAME_BYTES} are "
+                    "allowed; shorten it"
+                )
 
     @property
     def root(self) -> str:

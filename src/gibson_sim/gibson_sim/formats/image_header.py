@@ -13,6 +13,10 @@ MAX_IMAGE_BYTES = 512 * 2**20
 """Maximum size of an image file, bytes."""
 _MAX_SEGMENTS = 10_000
 """Maximum number of JPEG segments before the one with the size; each fill byte counts as one."""
+_MAX_CHUNKS = 200_000
+"""Maximum number of chunks of a PNG; 8 KB each are usual."""
+_LARGE_CHUNK = 64 * 2**20
+"""Chunks of a PNG that claim more bytes than this and than the whole file has are invalid: OpenCV allocates what they claim, up to 2 GB."""
 _JPEG_SIZES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 3, 2: 3, 3: 4, 4: 4, 6: 4}
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
@@ -51,8 +55,7 @@ def image_size(data: bytes) -> ImageHeader | None:
 
 def _size(data: bytes) -> ImageHeader | None:
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
-        width, height = struct.unpack_from(">II", data, 16)
-        return ImageHeader(width, height, _PNG_CHANNELS.get(data[25], 4))
+        return _png(data)
     if data.startswith(b"\xff\xd8"):
         return _jpeg(data)
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
@@ -72,6 +75,19 @@ def _size(data: bytes) -> ImageHeader | None:
     if match is not None:
         return ImageHeader(int(match[1]), int(match[2]), 3)
     return _tga(data)
+
+
+def _png(data: bytes) -> ImageHeader | None:
+    width, height = struct.unpack_from(">II", data, 16)
+    at = 8
+    for _ in range(_MAX_CHUNKS):
+        if at + 8 > len(data):
+            return ImageHeader(width, height, _PNG_CHANNELS.get(data[25], 4))
+        (length,) = struct.unpack_from(">I", data, at)
+        if length > max(len(data), _LARGE_CHUNK):
+            return None
+        at += 12 + length
+    return None
 
 
 def _jpeg(data: bytes) -> ImageHeader | None:

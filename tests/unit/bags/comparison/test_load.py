@@ -57,6 +57,23 @@ def test_arrivals_by_wall_time_are_mapped_to_the_clock_of_the_stamps(folder: Pat
     assert any("different clocks" in note for note in found.notes)
 
 
+def test_map_whose_size_is_not_that_of_its_values_is_left_out(folder: Path) -> None:
+    with StandardBag(folder) as bag:
+        odometry(bag)
+        make = bag.make
+        origin = make(
+            "geometry_msgs/msg/Pose",
+            position=make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+            orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        header = bag.header(0, "map")
+        info = make("nav_msgs/msg/MapMetaData", map_load_time=header.stamp, resolution=0.05, width=4, height=6, origin=origin)
+        bag.write("/map", NS, make("nav_msgs/msg/OccupancyGrid", header=header, info=info, data=np.zeros(48, np.int8)))
+    found = load_recording(folder)
+    assert found.map is None
+    assert "/map: a map of 4x6 cells has 48 values: it is left out" in found.notes
+
+
 def test_localisation_by_tf_is_the_truth_where_no_better_one_exists(folder: Path) -> None:
     with StandardBag(folder) as bag:
         odometry(bag)
