@@ -970,6 +970,13 @@ def test_compressed_images_are_decoded_and_those_that_are_too_large_are_refused_
         conversions.rgb_of_compressed(CompressedImage(data=cv2.imencode(".bmp", grey)[1].tobytes()))
 
 
+def test_png_with_a_chunk_that_claims_gigabytes_is_refused() -> None:
+    png = bytearray(cv2.imencode(".png", np.zeros((8, 8, 3), np.uint8))[1].tobytes())
+    png[33:37] = (0x7FFFFFFF).to_bytes(4, "big")  # of the chunk after the header; OpenCV allocates as much
+    with pytest.raises(ViewError, match="is neither JPEG nor PNG, or is damaged"):
+        conversions.rgb_of_compressed(CompressedImage(format="png", data=bytes(png)))
+
+
 def test_the_yaw_of_a_quaternion_does_not_depend_on_its_norm() -> None:
     msg = Odometry()
     orientation = msg.pose.pose.orientation

@@ -125,7 +125,9 @@ def rgb_of_compressed(msg: Any) -> Image:
     # A small file may decode to gigabytes.
     size = image_size(data)
     if size is None:
-        raise ViewError(f"a compressed image of {len(data)} bytes, format {quoted(msg.format)}, is neither JPEG nor PNG")
+        raise ViewError(
+            f"a compressed image of {len(data)} bytes, format {quoted(msg.format)}, is neither JPEG nor PNG, or is damaged"
+        )
     if not 0 < size[0] * size[1] <= MAX_PIXELS:
         raise ViewError(
             f"a compressed image has {size[0]}x{size[1]} pixels, must have 1 to {MAX_PIXELS}; make the camera's images smaller"
