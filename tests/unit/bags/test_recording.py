@@ -254,7 +254,7 @@ def test_report_says_why_a_bag_without_clock_is_empty(tmp_path: Path, messages: 
 def test_report_marks_losses() -> None:
     summary = {
         "bags": ["/tmp/bag"], "messages": {"/a": 3, "/odom": 40, "/tf": 2}, "bytes": {"/a": 1_500_000, "/odom": 2000, "/tf": 9},
-        "lost": {"/a": 2, "/odom": 0}, "message_lost": {"/tf": 1}, "error": "",
+        "lost": {"/a": 2, "/odom": 0}, "message_lost": {"/tf": 1, "/odom": 5}, "error": "",
     }  # fmt: skip
     lines = report_lines(summary)
     assert [line.split() for line in lines[1:4]] == [
