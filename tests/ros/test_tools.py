@@ -128,6 +128,29 @@ def test_services_are_listed_and_called() -> None:
     assert all("did you mean 'entity'?" in text for _, text in misspelt)
 
 
+def test_a_type_that_a_service_or_an_action_does_not_have_is_refused() -> None:
+    other = "simulation_interfaces/srv/DeleteEntity"
+    service, action, crossed = _run_together(
+        f"service call /get_entities {other}",
+        "action send_goal simulate_steps control_msgs/action/GripperCommand",
+        f"action send_goal /simulate_steps {other}",
+    )
+    assert service[0] == 1
+    assert service[1].endswith(f"error: /get_entities has the type simulation_interfaces/srv/GetEntities, not {other}\n")
+    assert action[0] == 1 and "/simulate_steps has the type simulation_interfaces/action/SimulateSteps, not control_" in action[1]
+    assert crossed[0] == 1 and f"error: type '{other}' is a service; an action type such as " in crossed[1]
+
+
+def test_an_empty_name_is_refused_in_one_line() -> None:
+    commands = (
+        "topic echo ''", "topic info ''", "service type ''", "service call ''", "action send_goal '' x", "param get '' x",
+        "param list ''", "node info ''",
+    )  # fmt: skip
+    words = [("topic", 2), ("service", 2), ("action", 1), ("node", 3)]
+    expected = [(1, f"error: the name of the {kind} is empty\n") for kind, count in words for _ in range(count)]
+    assert _run_together(*commands) == expected
+
+
 def test_hidden_names_are_listed_only_on_request() -> None:
     action = "/simulate_steps/_action"
     visible = _run_together("topic list", "service list", "node info /physics", "action list")

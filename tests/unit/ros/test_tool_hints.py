@@ -52,6 +52,11 @@ def test_a_node_without_a_simulation_says_that_none_runs_beside_other_nodes() ->
     assert _missing("/talkr/get_parameters", PARAMETERS, others) == "node '/talkr' does not exist; did you mean '/talker'?"
 
 
+def test_a_node_without_parameter_services_is_not_said_to_be_missing() -> None:
+    text = missing_service("/tool/set_parameters", PARAMETERS, {}, ["/tool"], domain=105, start="`gibson-sim run`")
+    assert text.startswith("node '/tool' offers no parameters; ")
+
+
 def test_only_the_nodes_of_a_simulation_by_their_exact_names_are_awaited_until_they_have_loaded() -> None:
     present = ["/physics", "/lab/render", "/physics_watch", "/physics/logger", "/my_render"]
     assert loading_nodes((PHYSICS, RENDER), present, set()) == ["/lab/render", "/physics"]
@@ -104,6 +109,11 @@ def test_the_name_of_a_resource_finds_the_entities_that_it_was_spawned_as() -> N
 def test_what_is_no_name_in_ros_is_refused_in_one_line(name: str) -> None:
     with pytest.raises(ConfigError, match="is not a ROS name: letters"):
         check_name("topic", name)
+
+
+def test_an_empty_name_is_refused_as_empty() -> None:
+    with pytest.raises(ConfigError, match="the name of the topic is empty"):
+        check_name("topic", "")
 
 
 @pytest.mark.parametrize("name", ["odom", "/odom", "/robot_1/scan", "_hidden", "~/x", "/view_top/image_raw"])

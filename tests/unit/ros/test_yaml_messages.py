@@ -11,6 +11,8 @@ require("rclpy", "gibson_msgs")
 import yaml  # noqa: E402
 from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
 from sensor_msgs.msg import JointState, LaserScan  # noqa: E402
+from simulation_interfaces.srv import StepSimulation  # noqa: E402
+from std_msgs.msg import Bool, Header, String  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from gibson_sim.ros.tools.yaml_messages import (  # noqa: E402
@@ -61,7 +63,7 @@ def test_a_field_is_found_by_its_path() -> None:
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"heder": {}}, "heder: this field does not exist; did you mean 'header'?"),
+        ({"heder": {}}, "heder: this field does not exist; did you mean 'header'? known: header, pose"),
         ({"pose": {"pose": {"position": {"x": "far"}}}}, "pose.pose.position.x is 'far', must be of type double"),
         ({"pose": {"covariance": [1.0]}}, "pose.covariance is"),
         ([1], "must be a mapping with header, pose"),
@@ -71,3 +73,20 @@ def test_a_value_that_does_not_fit_is_named(values: object, text: str) -> None:
     with pytest.raises(MessageValueError) as error:
         fill(PoseWithCovarianceStamped(), values)
     assert text in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("message", "values", "text"),
+    [
+        (StepSimulation.Request(), {"steps": -1}, "steps is -1, must be of type uint64: 0 to 18446744073709551615"),
+        (Header(), {"stamp": {"sec": 2**31}}, "stamp.sec is 2147483648, must be of type int32: -2147483648 to 2147483647"),
+        (Bool(), {"data": 1}, "data is 1, must be of type boolean: true or false"),
+        (String(), {"data": True}, "data is True, must be of type string: put it in quotes, as in 'yes'"),
+        (String(), {"data": 5}, "data is 5, must be of type string: put it in quotes, as in '5'"),
+        (Header(), {"stamp": 1}, "stamp is 1, must be a mapping with sec, nanosec"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_refused_with_the_allowed_values(message: object, values: object, text: str) -> None:
+    with pytest.raises(MessageValueError) as error:
+        fill(message, values)
+    assert str(error.value) == text

@@ -98,7 +98,7 @@ def _add_service(parser: Any) -> None:
 def _add_param(parser: Any) -> None:
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     listed = kinds.add_parser("list", help="parameters of a node, or of all")
-    listed.add_argument("node", nargs="?", default="")
+    listed.add_argument("node", nargs="?")
     _finish(listed, "param list")
     get = kinds.add_parser("get", help="print a parameter")
     get.add_argument("node")

@@ -24,17 +24,22 @@ _STATUS = {4: "SUCCEEDED", 5: "CANCELED", 6: "ABORTED"}
 def action_list(tool: Tool, types: bool = False) -> None:
     """Prints the names of all actions, one per line."""
     tool.discover(PHYSICS)
-    print_names(tool, with_types(dict(get_action_names_and_types(tool)), types))
+    print_names(tool, with_types(_known_actions(tool), types))
 
 
 def action_send_goal(tool: Tool, action: str, type: str, values: str = "", feedback: bool = False) -> int:
     """Sends a goal, waits for its end, and prints its result; returns 1 if it did not succeed. Ctrl-C cancels the goal."""
-    kind = interface_class(type)
-    client = ActionClient(tool, kind, action)
-    if not tool.wait_for(f"the action {quoted(action)}", client.server_is_ready):
-        known = [name for name, _ in get_action_names_and_types(tool)]
-        raise GibsonSimError(f"no node offers the action {quoted(action)}; {suggestion(action, known, tool.hint('action list'))}")
+    kind = interface_class(type, "action")
     goal = fill(kind.Goal(), parse_values(values))
+    name = tool.resolve_topic_name(action)
+    if not tool.wait_for(f"the action {quoted(name)}", lambda: name in _known_actions(tool)):
+        raise _missing_action(tool, name)
+    # Checked before the client exists: the graph contains the types of clients, too.
+    if type not in (offered := _known_actions(tool)[name]):
+        raise GibsonSimError(f"{name} has the type {', '.join(offered)}, not {type}")
+    client = ActionClient(tool, kind, name)
+    if not tool.spin_until(PATIENCE_S, client.server_is_ready):
+        raise _missing_action(tool, name)
     print_line(f"Sending goal:\n{yaml_text(goal, whole=True)}")
     on_feedback = (lambda message: print_line("Feedback:\n" + yaml_text(message.feedback))) if feedback else None
     acceptance = client.send_goal_async(goal, feedback_callback=on_feedback)
@@ -54,6 +59,17 @@ def action_send_goal(tool: Tool, action: str, type: str, values: str = "", feedb
     )
     client.destroy()
     return 0 if result.status == 4 else 1
+
+
+def _known_actions(tool: Tool) -> dict[str, list[str]]:
+    """Returns action -> types of the graph."""
+    return dict(get_action_names_and_types(tool))
+
+
+def _missing_action(tool: Tool, name: str) -> GibsonSimError:
+    """Returns the error for an action that no node offers; ``name`` is its full name."""
+    hint = suggestion(name, _known_actions(tool), tool.hint("action list"))
+    return GibsonSimError(f"no node offers the action {quoted(name)}; {hint}")
 
 
 def _cancel(tool: Tool, action: str, acceptance: Any) -> None:

@@ -37,6 +37,6 @@ def execute(tool: Tool, command: str, arguments: Mapping[str, Any]) -> int:
         print_line(VERBS[command](tool, **arguments))
         return 0
     for kind in ("topic", "service", "action", "node"):
-        if name := arguments.get(kind):
+        if (name := arguments.get(kind)) is not None:
             check_name(kind, name)
     return int(COMMANDS[command](tool, **arguments) or 0)

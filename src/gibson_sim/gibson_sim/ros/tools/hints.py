@@ -27,6 +27,8 @@ def check_name(kind: str, name: str) -> None:
     Raises:
         ConfigError: the name is not valid in ROS.
     """
+    if not name:
+        raise ConfigError(f"the name of the {kind} is empty")
     if not _NAME.fullmatch(name):
         raise ConfigError(
             f"{kind} {quoted(name)} is not a ROS name: letters, digits and _ between single slashes, no digit first, such as /robot_1/odom"
@@ -69,23 +71,29 @@ def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
     return f"did you mean {quoted(matches[0])}?" if matches else otherwise
 
 
-def missing_service(name: str, kind: str, services: Mapping[str, Iterable[str]], *, domain: int, start: str) -> str:
+def missing_service(
+    name: str, kind: str, services: Mapping[str, Iterable[str]], nodes: Container[str] = (), *, domain: int, start: str
+) -> str:
     """Returns the reason why a service cannot be called, in one line.
 
     Args:
         name: full name of the service.
         kind: type of the service, such as ``simulation_interfaces/srv/SpawnEntity``; empty = unknown.
         services: service -> types of the services that nodes offer.
+        nodes: full names of the discovered nodes.
         domain: ROS domain ID.
         start: hint how to start a simulation.
     """
+    node, _, last = name.rpartition("/")
+    is_of_parameters = last in _PARAMETER_SERVICES and kind.startswith("rcl_interfaces/")
+    if is_of_parameters and node in nodes:
+        return f"node {quoted(node)} offers no parameters; `gibson-sim param list` shows those of all nodes"
     runs = simulation_runs(services)
     if not runs and (kind.startswith(_STANDARD) or not services):
         return no_simulation(domain, start)
-    node, _, last = name.rpartition("/")
-    if last in _PARAMETER_SERVICES and kind.startswith("rcl_interfaces/"):
-        nodes = [other.removesuffix(f"/{last}") for other in services if other.endswith(f"/{last}")]
-        return missing_node(node, nodes, f"known: {', '.join(sorted(nodes))}" if runs else no_simulation(domain, start))
+    if is_of_parameters:
+        known = [other.removesuffix(f"/{last}") for other in services if other.endswith(f"/{last}")]
+        return missing_node(node, known, f"known: {', '.join(sorted(known))}" if runs else no_simulation(domain, start))
     otherwise = "see `gibson-sim service list`" if runs else no_simulation(domain, start)
     return f"no node offers the service {quoted(name)}; {suggestion(name, services, otherwise)}"
 

@@ -29,9 +29,9 @@ _PYTHON = {
 }  # fmt: skip
 
 
-def param_list(tool: Tool, node: str = "") -> None:
+def param_list(tool: Tool, node: str | None = None) -> None:
     """Prints the parameters of a node, or of all nodes."""
-    if node:
+    if node is not None:
         node_names = [full_node_name(node)]
     else:
         tool.discover(PHYSICS, RENDER)  # a node that loads the scene does not respond

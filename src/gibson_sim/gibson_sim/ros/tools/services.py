@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.tools.arguments import interface_class, parse_values
 from gibson_sim.ros.tools.hints import PHYSICS, type_and_values
@@ -31,15 +32,18 @@ def service_call(tool: Tool, service: str, type: str = "", values: str = "") -> 
     name = tool.resolve_service_name(service)
     type, values = type_and_values(type, values)
     parsed = parse_values(values)
-    awaited = f"the service {quoted(name)}"
-    if not type:
-        if not tool.wait_for(awaited, lambda: name in tool.offered_services()):
-            raise tool.missing_service(name)
-        type, awaited = tool.known_services()[name][0], ""
-    kind = interface_class(type)
+    if type:
+        interface_class(type, "srv")
+    if not tool.wait_for(f"the service {quoted(name)}", lambda: name in tool.offered_services()):
+        raise tool.missing_service(name, type)
+    # Checked before the client exists: the graph contains the types of clients, too.
+    offered = tool.known_services()[name]
+    if type and type not in offered:
+        raise GibsonSimError(f"{name} has the type {', '.join(offered)}, not {type}")
+    kind = interface_class(type or offered[0], "srv")
     request = fill(kind.Request(), parsed)
     client = tool.create_client(kind, name)
-    if not tool.wait_for(awaited, client.service_is_ready):
+    if not tool.spin_until(PATIENCE_S, client.service_is_ready):
         raise tool.missing_service(name, type)
     print_line(f"requester: making request: {request}\n")
     response = tool.response(client, request)

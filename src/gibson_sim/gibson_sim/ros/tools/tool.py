@@ -170,7 +170,8 @@ class Tool(Node):
     def missing_service(self, name: str, kind: str = "") -> GibsonSimError:
         """Returns the error for a service that no node offers; ``name`` is its full name, ``kind`` its type, if it is known."""
         services = self.offered_services()
-        return GibsonSimError(missing_service(name, kind, services, domain=self.context.get_domain_id(), start=start_hint()))
+        domain, start = self.context.get_domain_id(), start_hint()
+        return GibsonSimError(missing_service(name, kind, services, self.known_nodes(), domain=domain, start=start))
 
     def missing_simulation(self) -> GibsonSimError:
         """Returns the error that no simulation runs."""

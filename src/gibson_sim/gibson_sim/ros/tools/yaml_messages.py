@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import datetime
 import difflib
 import re
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ SHORT = 128
 _ARRAY = re.compile(r"(?:sequence<(?P<of>[^,>]+)(?:, (?P<bound>\d+))?>|(?P<item>.+)\[(?P<size>\d+)\])$")
 _INTEGER = re.compile(r"(?P<unsigned>u)?int(?P<bits>8|16|32|64)")
 _FLOATS = ("float", "double", "float32", "float64")
+_TEXTS = ("string", "wstring")
 
 
 class MessageValueError(GibsonSimError):
@@ -75,19 +77,41 @@ def fill(message: Any, values: Any, prefix: str = "") -> Any:
         return message
     if not isinstance(values, dict):
         raise MessageValueError(
-            f"{prefix or 'the message'} is {quoted(values)}, must be a mapping with {', '.join(types) or 'no fields'}"
+            f"{prefix.removesuffix('.') or 'the message'} is {quoted(values)}, must be a mapping with {', '.join(types) or 'no fields'}"
         )
     for name, value in values.items():
         if name not in types:
             matches = difflib.get_close_matches(str(name), types, n=1)
-            hint = f"did you mean {matches[0]!r}?" if matches else f"known: {', '.join(types) or 'none'}"
-            raise MessageValueError(f"{prefix}{name}: this field does not exist; {hint}")
+            hint = f"did you mean {matches[0]!r}? " if matches else ""
+            raise MessageValueError(f"{prefix}{name}: this field does not exist; {hint}known: {', '.join(types) or 'none'}")
         path = f"{prefix}{name}"
         try:
             setattr(message, name, _converted(value, types[name], getattr(message, name), path))
         except ValueError as error:
-            raise MessageValueError(f"{path} is {quoted(value)}, must be of type {types[name]}") from error
+            raise MessageValueError(f"{path} is {quoted(value)}, must be {_allowed(types[name], value)}") from error
     return message
+
+
+def _allowed(type_name: str, value: Any) -> str:
+    """Returns which values a field of a type may have; ``value`` is the one that does not fit."""
+    text = f"of type {type_name}"
+    if integer := _INTEGER.fullmatch(type_name):
+        low, high = _limits(integer)
+        return f"{text}: {low} to {high}"
+    if type_name == "octet":
+        return f"{text}: 0 to 255"
+    if type_name == "boolean":
+        return f"{text}: true or false"
+    if type_name.startswith(_TEXTS) and isinstance(value, bool | int | float | datetime.date):
+        as_text = ("yes" if value else "no") if isinstance(value, bool) else str(value)
+        return f"{text}: put it in quotes, as in '{as_text}'"
+    return text
+
+
+def _limits(integer: re.Match[str]) -> tuple[int, int]:
+    """Returns the smallest and the largest value of an integer type that matches ``_INTEGER``."""
+    bits = int(integer["bits"])
+    return (0, 2**bits - 1) if integer["unsigned"] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
 
 
 def _converted(value: Any, type_name: str, current: Any, path: str) -> Any:
@@ -114,14 +138,14 @@ def _checked(value: Any, type_name: str) -> Any:
         return float(value)
     if type_name == "boolean" and isinstance(value, bool):
         return value
-    if type_name.startswith(("string", "wstring")) and isinstance(value, str):
+    if type_name.startswith(_TEXTS) and isinstance(value, str):
         return value
     integer = _INTEGER.fullmatch(type_name)
     if type_name == "octet" and isinstance(value, int) and 0 <= value < 256:
         return bytes([value])
     if integer and isinstance(value, int) and not isinstance(value, bool):
-        bits, low = int(integer["bits"]), 0 if integer["unsigned"] else -(2 ** (int(integer["bits"]) - 1))
-        if low <= value < low + 2**bits:
+        low, high = _limits(integer)
+        if low <= value <= high:
             return value
     raise ValueError
 
