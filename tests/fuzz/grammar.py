@@ -214,7 +214,7 @@ class Mutator:
             for _ in range(self.rng.choice((*_DEEP, 3000))):
                 inner = ElementTree.SubElement(inner, element.tag)
         else:
-            parent.extend(copy.deepcopy(element) for _ in range(self.rng.choice(_MANY)))
+            parent.extend([copy.deepcopy(element) for _ in range(self.rng.choice(_MANY))])
 
     def lines(self, text: str) -> str:
         """Returns a text whose meaning lies in lines and words, with one change."""

@@ -223,6 +223,12 @@ def test_contacts_that_are_drawn_are_those_of_check(messages: Any, tmp_path: Pat
     assert (run.robots[0].touches[0].begin, run.robots[0].touches[0].end) == (pytest.approx(0.4), pytest.approx(0.9))
 
 
+def test_rates_of_a_recording_of_a_fraction_of_a_microsecond_have_one_bin() -> None:
+    times = np.array([0.4999999, 0.49999992, 0.49999995])
+    edges, parts, _ = rates(RecordedRun(Path("bag"), times[0], times[-1], "s", (), None, False, (Arrivals("/x", times),)))
+    assert len(edges) == 2 and parts.shape == (1, 1)
+
+
 def test_rate_of_a_topic_that_stopped_is_none_from_then_on() -> None:
     """20 Hz for 30 s, silent from 10 s to 15 s."""
     times = np.arange(0.0, 30.0, 0.05) + 0.001

@@ -343,7 +343,7 @@ def _bins(begin: float, end: float) -> F64:
         np.ceil((end - begin) / _MOST_BINS),
     )
     first = np.floor(begin / width + 1e-6) * width
-    edges = np.arange(first, end, width)
+    edges = np.arange(first, max(end, first + 0.1 * width), width)  # a recording of microseconds may end before ``first``
     if end - edges[-1] < 0.5 * width and len(edges) > 1:
         edges = edges[:-1]
     edges = np.append(edges, end if end > edges[-1] else edges[-1] + width)
