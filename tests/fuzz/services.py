@@ -213,7 +213,7 @@ class ServiceFuzzer:
             self._fault(f"{name}: no answer in {PATIENCE_S:.0f} s")
             return None
         response = future.result()
-        self._judge(name, response, took)
+        self._judge(name, request, response, took)
         found = getattr(response, "entities", None)
         if found is not None:
             self._things = [entity for entity in found if entity != "robot"]
@@ -221,7 +221,7 @@ class ServiceFuzzer:
             self._things.append(response.entity_name)
         return response
 
-    def _judge(self, name: str, response: Any, took: float) -> None:
+    def _judge(self, name: str, request: Any, response: Any, took: float) -> None:
         if took > self.report.slowest_s:
             self.report.slowest_s, self.report.slowest = took, name
         if took > self._limit_s:
@@ -234,7 +234,8 @@ class ServiceFuzzer:
             self._fault(f"{name}: refused without a reason")
         if "internal error" in text or "\n" in text or len(text) > 1000:
             self._fault(f"{name}: answers {text[:300]!r}")
-        if SECRET in text.replace(f"{SECRET}.txt", "") or str(SECRET_NUMBER) in text:
+        told = text.replace(f"{SECRET}.txt", "")
+        if any(secret in told and secret not in str(request) for secret in (SECRET, str(SECRET_NUMBER))):
             self._fault(f"{name}: tells what stands in a file: {text[:300]!r}")
 
     def _parameters(self, mutator: Mutator, number: int) -> None:
