@@ -46,11 +46,11 @@ class Graph:
         return future
 
 
-def _told(state: int | None, *at_s: float) -> list[str]:
+def _told(state: int | None, *at_s: float, by_simulation: bool = True) -> list[str]:
     """Returns what is told if nothing comes, after looks at these times, s; the waiting begins at 100 s."""
     told: list[str] = []
     graph: Any = Graph(state)
-    notice = SilenceNotice(graph, told.append, lambda: "waiting", 100.0)
+    notice = SilenceNotice(graph, told.append, lambda: "waiting", 100.0, lambda: by_simulation)
     for now_s in at_s:
         notice.check(now_s)
     return told
@@ -66,6 +66,12 @@ def test_a_playing_simulation_and_none_have_their_own_reason() -> None:
     assert _told(SimulationState.STATE_PLAYING, 103.1, 110.0) == ["waiting"]
     assert _told(None, 103.1, 107.9) == []
     assert _told(None, 103.1, 108.1, 110.0) == ["waiting"]
+
+
+def test_a_paused_simulation_is_not_the_reason_for_the_silence_of_another_node() -> None:
+    assert _told(SimulationState.STATE_PAUSED, 102.9, by_simulation=False) == []
+    assert _told(SimulationState.STATE_PAUSED, 103.1, 104.0, by_simulation=False) == ["waiting"]
+    assert _told(None, 103.1, by_simulation=False) == ["waiting"]
 
 
 def test_nothing_is_told_once_a_message_has_come() -> None:

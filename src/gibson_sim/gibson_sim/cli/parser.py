@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -42,6 +43,11 @@ _MISTAKEN = {
     "--gui": "leave it out: --web serves a page for your browser",
 }
 """Option of other simulators -> hint."""
+_MISTAKEN_COMMANDS = {
+    "pub": "there is no `topic pub`: a robot stops when commands stop, so a single one moves it only for a moment; drive with "
+    "`gibson-sim drive forward`, or with a file of lines `linear angular seconds`; send goals with `gibson-sim goal X,Y`"
+}
+"""Sub-command of other tools -> hint."""
 _NEGATIVE = re.compile(r"-([xyz]$|[0-9.])")
 """Pattern of negative axes and numbers, and of lists that begin with one."""
 
@@ -61,7 +67,7 @@ class Parser(argparse.ArgumentParser):
         if rest:
             known = [flag for flag in self._option_string_actions if flag.startswith("--")]
             word = rest[0].partition("=")[0]
-            hint = _MISTAKEN.get(word) or (nearest(word, known) if word.startswith("-") else "")
+            hint = _MISTAKEN.get(word) or (_nearest_option(word, known) if word.startswith("-") else "")
             if not hint and "--scene" in known and not word.startswith("-"):
                 hint = f"is it a scene? --scene {word}"
             self.error(f"unrecognized arguments: {' '.join(rest)}" + (f"; {hint}" if hint else ""))
@@ -81,7 +87,15 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
             return
+        if isinstance(action, argparse._SubParsersAction) and value in _MISTAKEN_COMMANDS:
+            self.error(_MISTAKEN_COMMANDS[value])
         raise argparse.ArgumentError(action, choice_error(value, action.choices))
+
+
+def _nearest_option(word: str, known: Iterable[str]) -> str:
+    """Returns the hint to the most similar option; the dashes, which all options have, do not make two of them similar."""
+    matches = difflib.get_close_matches(word.lstrip("-"), [flag.lstrip("-") for flag in known], n=1, cutoff=0.6)
+    return f"did you mean {quoted(f'--{matches[0]}')}?" if matches else ""
 
 
 def choice_error(value: object, known: Iterable[object]) -> str:

@@ -1,6 +1,6 @@
 """``gibson-sim topic``, ``node``, ``service``, ``param``, ``action`` and short verbs: replacements of ``ros2`` commands for machines without it.
 
-Names, options and outputs are those of ``ros2``.
+They are a subset of ``ros2``: commands and options have the same names and meanings.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import Any
 
 from gibson_sim.cli.environment import add_network, environment_of, require_nodes
 from gibson_sim.cli.processes import become
-from gibson_sim.errors import GibsonSimError
 
 _PLACE = "X,Y or X,Y,YAW on the map, m and degrees"
 _HIDDEN = "a part of their name begins with _, as in those of actions"
@@ -19,11 +18,11 @@ _HIDDEN = "a part of their name begins with _, as in those of actions"
 
 def add_parser(subparsers: Any) -> None:
     """Adds all sub-commands of this module."""
-    _add_topic(subparsers.add_parser("topic", help="list, info, echo, hz, bw, delay of topics, as with ros2"))
-    _add_node(subparsers.add_parser("node", help="list, info of nodes, as with ros2"))
-    _add_service(subparsers.add_parser("service", help="list, type, call of services, as with ros2"))
-    _add_param(subparsers.add_parser("param", help="list, get, set of parameters, as with ros2"))
-    _add_action(subparsers.add_parser("action", help="list, send_goal of actions, as with ros2"))
+    _add_topic(subparsers.add_parser("topic", help="list, type, info, echo, hz, bw, delay of topics, a subset of ros2's"))
+    _add_node(subparsers.add_parser("node", help="list, info of nodes, a subset of ros2's"))
+    _add_service(subparsers.add_parser("service", help="list, type, call of services, a subset of ros2's"))
+    _add_param(subparsers.add_parser("param", help="list, get, set of parameters, a subset of ros2's"))
+    _add_action(subparsers.add_parser("action", help="list, send_goal of actions, a subset of ros2's"))
     _add_verbs(subparsers)
 
 
@@ -33,12 +32,18 @@ def _add_topic(parser: Any) -> None:
     listed.add_argument("-t", "--show-types", dest="types", action="store_true", help="also their types")
     listed.add_argument("--include-hidden-topics", action="store_true", help=f"also hidden topics: {_HIDDEN}")
     _finish(listed, "topic list")
+    kind = kinds.add_parser("type", help="type of a topic")
+    kind.add_argument("topic")
+    _finish(kind, "topic type")
     info = kinds.add_parser("info", help="type of a topic, and how many nodes publish and subscribe")
     info.add_argument("topic")
     info.add_argument("-v", "--verbose", action="store_true", help="also the nodes and their quality of service")
     _finish(info, "topic info")
     echo = kinds.add_parser("echo", help="print messages")
     echo.add_argument("topic")
+    echo.add_argument(
+        "type", nargs="?", default="", help="type, such as std_msgs/msg/String; needed if no node publishes or subscribes yet"
+    )
     echo.add_argument("--once", action="store_true", help="print one message and exit")
     echo.add_argument("--field", default="", metavar="PATH", help="print one field, such as pose.pose.position")
     echo.add_argument("-f", "--full-length", dest="full", action="store_true", help="print arrays and texts to their end")
@@ -51,23 +56,13 @@ def _add_topic(parser: Any) -> None:
         measure = kinds.add_parser(name, help=f"{text}, once a second")
         measure.add_argument("topic")
         measure.add_argument(
-            "--seconds", type=float, default=0.0, metavar="S", help="stop after this much wall time (default: at Ctrl-C)"
+            "--seconds",
+            type=_seconds,
+            default=0.0,
+            metavar="S",
+            help="stop after this much wall time; 0 = at Ctrl-C (default: 0)",
         )
         _finish(measure, f"topic {name}")
-    # Accept any arguments, including options of ros2, so that the hint is always printed.
-    pub = kinds.add_parser(
-        "pub", help="not available: use `gibson-sim drive` or `gibson-sim goal`", prefix_chars="\0", add_help=False
-    )
-    pub.add_argument("words", nargs="*")
-    pub.set_defaults(run=_refuse_pub)
-
-
-def _refuse_pub(args: argparse.Namespace) -> int:
-    """Prints the alternatives to publishing arbitrary messages."""
-    raise GibsonSimError(
-        "there is no `topic pub`: a robot stops when commands stop, so a single one moves it only for a moment; "
-        "drive with `gibson-sim drive forward`, or with a file of lines `linear angular seconds`; send goals with `gibson-sim goal X,Y`"
-    )
 
 
 def _add_node(parser: Any) -> None:
@@ -201,3 +196,15 @@ def _count(text: str) -> int:
     if not text.isdigit() or not 0 < int(text) <= 1_000_000:
         raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1000000")
     return int(text)
+
+
+def _seconds(text: str) -> float:
+    import math
+
+    try:
+        value = float(text)
+        if not 0.0 <= value < math.inf:
+            raise ValueError
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number of seconds, 0 or more") from None
+    return value

@@ -11,7 +11,8 @@ from gibson_sim.ros.tools.output import print_line
 from gibson_sim.ros.tools.tool import Tool
 
 COMMANDS: dict[str, Callable[..., int | None]] = {
-    "topic list": topics.topic_list, "topic info": topics.topic_info, "topic echo": topics.topic_echo, "topic hz": topics.topic_hz,
+    "topic list": topics.topic_list, "topic type": topics.topic_type, "topic info": topics.topic_info,
+    "topic echo": topics.topic_echo, "topic hz": topics.topic_hz,
     "topic bw": topics.topic_bw, "topic delay": topics.topic_delay, "node list": nodes.node_list, "node info": nodes.node_info,
     "service list": services.service_list, "service type": services.service_type, "service call": services.service_call,
     "param list": params.param_list, "param get": params.param_get, "param set": params.param_set, "action list": actions.action_list,

@@ -9,7 +9,6 @@ from typing import Any
 
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.processes.domain_lock import is_held
@@ -18,6 +17,7 @@ from gibson_sim.ros.nodes.node_main import is_running, make_executor
 from gibson_sim.ros.nodes.wait_for_simulation import start_hint
 from gibson_sim.ros.tools.hints import PHYSICS, RENDER, loading_nodes, missing_service, no_simulation, simulation_runs, suggestion
 from gibson_sim.ros.tools.output import print_error
+from gibson_sim.ros.tools.subscription import AdaptiveSubscription
 from gibson_sim.ros.topics.discovery import DISCOVERY_S
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, type_name_of
 
@@ -29,6 +29,8 @@ PATIENCE_S = 5.0
 """Timeout for the discovery of a name, s of wall time."""
 _MORE_TYPES_S = 0.3
 """Time in which a discovered topic may turn out to have a second type, and the last names of a loaded node arrive, s of wall time."""
+_SETTLED_S = 0.5
+"""Time without a new publisher or subscription after which the discovery of a topic counts as complete, s of wall time."""
 LIST_PARAMETERS = "/list_parameters"
 """End of the name of a service that each node with parameters offers."""
 
@@ -45,7 +47,8 @@ class Tool(Node):
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self._execute = execute
-        self._start_s = time.monotonic()
+        self.start_s = time.monotonic()
+        """Wall time at which discovery began, s (monotonic)."""
         self._executor = make_executor()
         self._executor.add_node(self)
 
@@ -116,7 +119,7 @@ class Tool(Node):
 
     def _discover_usually(self) -> None:
         """Spins until ``USUAL_DISCOVERY_S`` after the start of this node."""
-        self.spin_until(max(0.0, self._start_s + USUAL_DISCOVERY_S - time.monotonic()))
+        self.spin_until(max(0.0, self.start_s + USUAL_DISCOVERY_S - time.monotonic()))
 
     def simulation_runs(self) -> bool:
         """Returns whether a simulation is discovered."""
@@ -195,35 +198,54 @@ class Tool(Node):
             raise GibsonSimError(f"topic {quoted(name)} has no publisher and no subscriber; {hint}")
         return name
 
-    def type_of(self, topic: str) -> tuple[str, str]:
+    def discover_endpoints(self, topic: str) -> None:
+        """Spins until the numbers of publishers and subscriptions of a topic are settled; longer while it has no publisher."""
+        known, changed_s = (-1, -1), 0.0
+
+        def are_settled() -> bool:
+            nonlocal known, changed_s
+            present, now_s = (self.count_publishers(topic), self.count_subscribers(topic)), time.monotonic()
+            if present != known:
+                known, changed_s = present, now_s
+            may_lack_publishers = not present[0] and now_s - self.start_s < DISCOVERY_S
+            return now_s - changed_s >= _SETTLED_S and not may_lack_publishers
+
+        self.spin_until(PATIENCE_S, are_settled)
+
+    def type_of(self, topic: str, given: str = "") -> tuple[str, str]:
         """Returns the full name and the type of a topic.
 
-        Raises:
-            GibsonSimError: the topic does not exist, or has several types.
-        """
-        name = self.find_topic(topic)
-        self.spin_until(_MORE_TYPES_S, lambda: len(self.known_topics()[name]) > 1)
-        types = self.known_topics()[name]
-        if len(types) > 1:
-            raise GibsonSimError(f"topic {quoted(name)} has several types: {', '.join(types)}; only one can be shown")
-        return name, types[0]
+        Args:
+            topic: name of the topic.
+            given: type, needed if the topic may not exist yet or has several types; empty = the type of the topic.
 
-    def subscribe(self, topic: str, callback: Callable[[Any], None], *, raw: bool = False) -> tuple[str, str]:
-        """Subscribes to a topic with a QoS that matches all publishers; returns its full name and type."""
-        name, kind = self.type_of(topic)
-        try:
-            message_type = message_class(kind)
-        except UNKNOWN as error:
-            raise GibsonSimError(f"the message type {kind} is not installed in this environment") from error
-        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(name)]
-        reliable = bool(offered) and all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-        latched = bool(offered) and all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-        profile = QoSProfile(
-            depth=100,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
-        self.create_subscription(message_type, name, callback, profile, raw=raw)
+        Raises:
+            GibsonSimError: the topic does not exist and no type is given, it has several types, or it does not have the given one.
+        """
+        if given:
+            name = self.resolve_topic_name(topic)
+            self.spin_until(USUAL_DISCOVERY_S, lambda: name in self.known_topics())
+        else:
+            name = self.find_topic(topic)
+        types = self.known_topics().get(name, [given])
+        if given not in types:
+            self.spin_until(_MORE_TYPES_S, lambda: len(self.known_topics().get(name, ())) > 1)
+            types = self.known_topics().get(name, types)
+        if given and given not in types:
+            raise GibsonSimError(f"topic {quoted(name)} has the type {' and '.join(types)}, not {quoted(given)}")
+        if len(types) > 1 and not given:
+            raise GibsonSimError(
+                f"topic {quoted(name)} has several types: {', '.join(types)}; only one can be shown: "
+                f"`gibson-sim topic echo {name} {types[0]}`"
+            )
+        return name, given or types[0]
+
+    def subscribe(self, topic: str, callback: Callable[[Any], None], *, kind: str = "", raw: bool = False) -> tuple[str, str]:
+        """Subscribes to a topic with a QoS that matches all publishers; returns its full name and type; ``kind`` is a given type."""
+        if kind:
+            _message_class(kind)
+        name, kind = self.type_of(topic, kind)
+        AdaptiveSubscription(self, _message_class(kind), name, callback, raw=raw)
         return name, kind
 
     def call(self, name: str, kind: Any, request: Any) -> Any:
@@ -248,3 +270,19 @@ class Tool(Node):
 def full_name(namespace: str, name: str) -> str:
     """Returns the full name of a node, such as ``/robot_1/driver``."""
     return f"{namespace.rstrip('/')}/{name}"
+
+
+def _message_class(kind: str) -> Any:
+    """Returns the class of a message type.
+
+    Raises:
+        GibsonSimError: the type is not installed.
+    """
+    try:
+        if kind.split("/")[1:2] == ["msg"]:
+            return message_class(kind)
+    except UNKNOWN:
+        pass
+    raise GibsonSimError(
+        f"the message type {quoted(kind)} is not installed in this environment; a type is written as in std_msgs/msg/String"
+    )

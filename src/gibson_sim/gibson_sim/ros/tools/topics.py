@@ -1,4 +1,4 @@
-"""``gibson-sim topic``: list, info, echo, hz, bw, delay."""
+"""``gibson-sim topic``: list, type, info, echo, hz, bw, delay."""
 
 from __future__ import annotations
 
@@ -39,10 +39,17 @@ def topic_list(tool: Tool, types: bool = False, include_hidden_topics: bool = Fa
     print_names(tool, with_types(topics, types))
 
 
+def topic_type(tool: Tool, topic: str) -> None:
+    """Prints the types of a topic, one per line."""
+    name = tool.find_topic(topic)
+    print_line("\n".join(tool.known_topics()[name]))
+
+
 def topic_info(tool: Tool, topic: str, verbose: bool = False) -> None:
     """Prints the type of a topic, and the numbers of its publishers and subscriptions."""
     name = tool.find_topic(topic)
     tool.discover(PHYSICS, RENDER)
+    tool.discover_endpoints(name)
     print_line(f"Type: {', '.join(tool.known_topics()[name])}")
     for label, infos in (
         ("Publisher", tool.get_publishers_info_by_topic(name)),
@@ -55,12 +62,12 @@ def topic_info(tool: Tool, topic: str, verbose: bool = False) -> None:
             print_line(f"  node {node}: {profile.reliability.name}, {profile.durability.name}")
 
 
-def topic_echo(tool: Tool, topic: str, once: bool = False, field: str = "", full: bool = False) -> int:
+def topic_echo(tool: Tool, topic: str, type: str = "", once: bool = False, field: str = "", full: bool = False) -> int:
     """Prints messages as YAML, each followed by ``---``; returns 130 if Ctrl-C ends it before the first."""
     received: deque[Any] = deque()
     # rclpy inspects the signature, which ``deque.append`` does not have.
-    name, _ = tool.subscribe(topic, lambda message: received.append(message))
-    silence = _silence(tool, name)
+    name, kind = tool.subscribe(topic, lambda message: received.append(message), kind=type)
+    silence = _silence(tool, name, kind)
     printed = False
     with suppress(KeyboardInterrupt):
         while not (once and printed):
@@ -77,24 +84,31 @@ def topic_echo(tool: Tool, topic: str, once: bool = False, field: str = "", full
     return 0 if printed else interrupts.INTERRUPTED
 
 
-def _silence(tool: Tool, topic: str) -> SilenceNotice:
-    """Returns the notice that reports on stderr, once, why no message arrives on a topic; stdout has messages only."""
+def _silence(tool: Tool, topic: str, kind: str) -> SilenceNotice:
+    """Returns the notice that reports on stderr, once, why no message of a type arrives on a topic; stdout has messages only."""
 
     def reason() -> str:
-        publishers = tool.count_publishers(topic)
-        if not publishers:
-            return f"waiting: no node publishes {topic}"
-        return f"waiting: {publishers} publisher{'s' * (publishers != 1)} of {topic}, but no message yet"
+        types = [info.topic_type for info in tool.get_publishers_info_by_topic(topic)]
+        count = types.count(kind)
+        if count:
+            return f"waiting: {count} publisher{'s' * (count != 1)} of {topic}, but no message yet"
+        if types:
+            return f"waiting: no node publishes {topic} as {kind}, only as {' and '.join(sorted(set(types)))}"
+        return f"waiting: no node publishes {topic}"
 
-    return SilenceNotice(tool, print_error, reason, time.monotonic())
+    def by_simulation() -> bool:
+        return any(info.node_name in (PHYSICS, RENDER) for info in tool.get_publishers_info_by_topic(topic))
+
+    return SilenceNotice(tool, print_error, reason, tool.start_s, by_simulation)
 
 
-def _measure(tool: Tool, topic: str, samples: deque[Any], report: Callable[[], str], seconds: float) -> int:
+def _measure(tool: Tool, topic: str, kind: str, samples: deque[Any], report: Callable[[], str], seconds: float) -> int:
     """Prints a report each second for ``seconds`` of wall time (0 = until Ctrl-C); returns the exit code.
 
     Args:
         tool: node that receives the messages.
         topic: full name of the topic.
+        kind: its type.
         samples: one for each received message.
         report: returns the text to print; empty = there are too few samples.
         seconds: duration.
@@ -102,12 +116,12 @@ def _measure(tool: Tool, topic: str, samples: deque[Any], report: Callable[[], s
     Returns:
         1 without a report; 130 if Ctrl-C ends it before the duration, or before the first report.
     """
-    silence = _silence(tool, topic)
+    silence = _silence(tool, topic, kind)
     deadline = time.monotonic() + seconds if seconds else math.inf
     text = ""
     with suppress(KeyboardInterrupt):
         while time.monotonic() < deadline:
-            tool.spin_until(1.0)
+            tool.spin_until(min(1.0, deadline - time.monotonic()))
             if samples:
                 silence.end()
             silence.check(time.monotonic())
@@ -120,8 +134,8 @@ def _measure(tool: Tool, topic: str, samples: deque[Any], report: Callable[[], s
 def _statistics(tool: Tool, topic: str, report: Callable[[deque[tuple[float, int]]], str], seconds: float) -> int:
     """Subscribes, and measures, see ``_measure``; ``report`` gets the arrival time (monotonic, s) and the size (bytes) of each message."""
     received: deque[tuple[float, int]] = deque(maxlen=_WINDOW)
-    name, _ = tool.subscribe(topic, lambda data: received.append((time.monotonic(), len(data))), raw=True)
-    return _measure(tool, name, received, lambda: report(received) if len(received) > 1 else "", seconds)
+    name, kind = tool.subscribe(topic, lambda data: received.append((time.monotonic(), len(data))), raw=True)
+    return _measure(tool, name, kind, received, lambda: report(received) if len(received) > 1 else "", seconds)
 
 
 def topic_hz(tool: Tool, topic: str, seconds: float = 0.0) -> int:
@@ -178,7 +192,7 @@ def topic_delay(tool: Tool, topic: str, seconds: float = 0.0) -> int:
         )
 
     tool.subscribe(topic, on_message, raw=True)
-    return _measure(tool, name, delays, report, seconds)
+    return _measure(tool, name, kind, delays, report, seconds)
 
 
 def _bytes(number: float) -> str:

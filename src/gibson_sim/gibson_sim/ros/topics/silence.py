@@ -26,10 +26,19 @@ class SilenceNotice:
         report: called at most once, with one line of text.
         otherwise: returns the text to report if time is not paused; None = no report then.
         now_s: wall time at which the wait starts, s.
+        by_simulation: returns whether the simulation publishes the messages; if not, its state is not the cause of the silence.
     """
 
-    def __init__(self, node: Node, report: Callable[[str], None], otherwise: Callable[[], str] | None, now_s: float) -> None:
+    def __init__(
+        self,
+        node: Node,
+        report: Callable[[str], None],
+        otherwise: Callable[[], str] | None,
+        now_s: float,
+        by_simulation: Callable[[], bool] = lambda: True,
+    ) -> None:
         self._node, self._report, self._otherwise, self._start_s = node, report, otherwise, now_s
+        self._by_simulation = by_simulation
         self._answer: Any = None
         self._ended = False
         self._client: Any = None
@@ -42,6 +51,9 @@ class SilenceNotice:
         """Continues the wait at a wall time, s; must be called repeatedly until a message arrives."""
         waited_s = now_s - self._start_s
         if self._ended or waited_s < SILENT_S:
+            return
+        if not self._by_simulation():
+            self._conclude("")
             return
         if self._client is None and (name := self._service()):
             self._client = self._node.create_client(GetSimulationState, name)
