@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from rcl_interfaces.msg import Parameter as ParameterMessage, ParameterType, ParameterValue
+from typing import Any, NamedTuple
+
+from rcl_interfaces.msg import Parameter as ParameterMessage, ParameterDescriptor, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 
 from gibson_sim.errors import GibsonSimError
@@ -11,22 +13,39 @@ from gibson_sim.ros.tools.arguments import full_node_name, parse_values
 from gibson_sim.ros.tools.hints import PHYSICS, RENDER
 from gibson_sim.ros.tools.output import print_line
 from gibson_sim.ros.tools.tool import LIST_PARAMETERS, Tool
+from gibson_sim.ros.tools.yaml_messages import MessageValueError, fill
 from gibson_sim.settings import nearest
 
-_ARRAYS = {
-    ParameterType.PARAMETER_BYTE_ARRAY: ("Byte", "byte_array_value"), ParameterType.PARAMETER_BOOL_ARRAY: ("Boolean", "bool_array_value"),
-    ParameterType.PARAMETER_INTEGER_ARRAY: ("Integer", "integer_array_value"),
-    ParameterType.PARAMETER_DOUBLE_ARRAY: ("Double", "double_array_value"),
-    ParameterType.PARAMETER_STRING_ARRAY: ("String", "string_array_value"),
-}  # fmt: skip
-_KINDS = {
-    ParameterType.PARAMETER_BOOL: ("Boolean", "bool_value"), ParameterType.PARAMETER_INTEGER: ("Integer", "integer_value"),
-    ParameterType.PARAMETER_DOUBLE: ("Double", "double_value"), ParameterType.PARAMETER_STRING: ("String", "string_value"),
-}  # fmt: skip
-_PYTHON = {
-    ParameterType.PARAMETER_BOOL: bool, ParameterType.PARAMETER_INTEGER: int, ParameterType.PARAMETER_DOUBLE: float,
-    ParameterType.PARAMETER_STRING: str,
-}  # fmt: skip
+
+class _Type(NamedTuple):
+    """A type of parameters."""
+
+    label: str
+    """As ``ros2 param get`` prints it."""
+    field: str
+    """Field of ``ParameterValue``."""
+    allowed: str
+    """Which values it has."""
+
+
+_TYPES = {
+    ParameterType.PARAMETER_BOOL: _Type("Boolean", "bool_value", "boolean: true or false"),
+    ParameterType.PARAMETER_INTEGER: _Type("Integer", "integer_value", "integer: a whole number of at most 64 bits"),
+    ParameterType.PARAMETER_DOUBLE: _Type("Double", "double_value", "double: a number, such as 1.5"),
+    ParameterType.PARAMETER_STRING: _Type("String", "string_value", "string: a text"),
+    ParameterType.PARAMETER_BYTE_ARRAY: _Type("Byte", "byte_array_value", "byte array: a list of 0 to 255, such as [1, 2]"),
+    ParameterType.PARAMETER_BOOL_ARRAY: _Type("Boolean", "bool_array_value", "boolean array: a list, such as [true, false]"),
+    ParameterType.PARAMETER_INTEGER_ARRAY: _Type("Integer", "integer_array_value", "integer array: a list, such as [1, 2]"),
+    ParameterType.PARAMETER_DOUBLE_ARRAY: _Type("Double", "double_array_value", "double array: a list, such as [1.0, 2.5]"),
+    ParameterType.PARAMETER_STRING_ARRAY: _Type("String", "string_array_value", "string array: a list, such as ['a', 'b']"),
+}
+_GUESSES = (
+    (bool, ParameterType.PARAMETER_BOOL, ParameterType.PARAMETER_BOOL_ARRAY),
+    (int, ParameterType.PARAMETER_INTEGER, ParameterType.PARAMETER_INTEGER_ARRAY),
+    (int | float, ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_DOUBLE_ARRAY),
+    (str, ParameterType.PARAMETER_STRING, ParameterType.PARAMETER_STRING_ARRAY),
+)
+"""Type of a YAML value or of all elements of a list -> types of a parameter and of an array, in the order of ``ros2``."""
 
 
 def param_list(tool: Tool, node: str | None = None) -> None:
@@ -47,40 +66,64 @@ def param_get(tool: Tool, node: str, name: str) -> None:
     value = tool.call(f"{full_node_name(node)}/get_parameters", GetParameters, GetParameters.Request(names=[name])).values[:1]
     if not value or value[0].type == ParameterType.PARAMETER_NOT_SET:
         raise _missing_parameter(tool, node, name)
-    if value[0].type in _KINDS:
-        label, attribute = _KINDS[value[0].type]
-        print_line(f"{label} value is: {getattr(value[0], attribute)}")
-    else:
-        label, attribute = _ARRAYS[value[0].type]
-        print_line(f"{label} values are: {list(getattr(value[0], attribute))}")
+    label, field, _ = _TYPES[value[0].type]
+    found = getattr(value[0], field)
+    print_line(f"{label} values are: {list(found)}" if field.endswith("_array_value") else f"{label} value is: {found}")
 
 
 def param_set(tool: Tool, node: str, name: str, value: str) -> None:
     """Sets a parameter; the node refuses it if it cannot be changed at run time."""
-    description = tool.call(
-        f"{full_node_name(node)}/describe_parameters", DescribeParameters, DescribeParameters.Request(names=[name])
-    )
-    declared = description.descriptors[0].type if description.descriptors else ParameterType.PARAMETER_NOT_SET
-    parsed = parse_values(value)
-    kind = (
-        declared
-        if declared in _KINDS
-        else next((k for k, t in _PYTHON.items() if type(parsed) is t), ParameterType.PARAMETER_STRING)
-    )
-    if kind == ParameterType.PARAMETER_STRING:
-        parsed = value
-    elif kind == ParameterType.PARAMETER_DOUBLE and isinstance(parsed, int):
-        parsed = float(parsed)
-    if type(parsed) is not _PYTHON[kind]:
-        raise GibsonSimError(f"parameter {quoted(name)} is {quoted(value)}, must be a value of type {_KINDS[kind][0].lower()}")
-    message = ParameterMessage(name=name, value=ParameterValue(type=kind, **{_KINDS[kind][1]: parsed}))
-    response = tool.call(f"{full_node_name(node)}/set_parameters", SetParameters, SetParameters.Request(parameters=[message]))
+    node = full_node_name(node)
+    description = tool.call(f"{node}/describe_parameters", DescribeParameters, DescribeParameters.Request(names=[name]))
+    declared = description.descriptors[0] if description.descriptors else ParameterDescriptor()
+    if declared.read_only:
+        option = f"`--{name.replace('_', '-')}` of `gibson-sim run`, " if node.rpartition("/")[2] in (PHYSICS, RENDER) else ""
+        raise GibsonSimError(
+            f"parameter {quoted(name)} of node {node} is read-only: set it when the node starts, with {option}`-p {name}:=...` of `ros2 run`"
+        )
+    message = ParameterMessage(name=name, value=parameter_value(name, value, declared.type))
+    response = tool.call(f"{node}/set_parameters", SetParameters, SetParameters.Request(parameters=[message]))
     result = response.results[0]
     if not result.successful:
-        if name not in _parameters(tool, full_node_name(node)):
+        if name not in _parameters(tool, node):
             raise _missing_parameter(tool, node, name)
         raise GibsonSimError(f"Setting parameter failed: {result.reason}")
     print_line("Set parameter successful")
+
+
+def parameter_value(name: str, text: str, declared: int) -> ParameterValue:
+    """Returns the value of a parameter.
+
+    Args:
+        name: name of the parameter, for error messages.
+        text: value as on the command line.
+        declared: a constant of ``ParameterType``: the present type; PARAMETER_NOT_SET = as the text looks, as ``ros2`` does.
+
+    Raises:
+        GibsonSimError: the text is no value of the type.
+    """
+    try:
+        value = parse_values(text)
+    except GibsonSimError:  # a text that is not YAML
+        value = text
+    kind = declared if declared in _TYPES else _guess(value)
+    if kind == ParameterType.PARAMETER_STRING and not isinstance(value, str):
+        value = text
+    _, field, allowed = _TYPES[kind]
+    try:
+        return fill(ParameterValue(type=kind), {field: value})
+    except MessageValueError as error:
+        raise GibsonSimError(f"parameter {quoted(name)} is {quoted(text)}, must be of type {allowed}") from error
+
+
+def _guess(value: Any) -> int:
+    """Returns the type of parameter that a YAML value has."""
+    items = value if isinstance(value, list) else [value]
+    for python, scalar, array in _GUESSES:
+        # A bool is an int, too, and is only a bool here.
+        if all(isinstance(item, python) and (python is bool or not isinstance(item, bool)) for item in items):
+            return array if isinstance(value, list) else scalar
+    return ParameterType.PARAMETER_STRING
 
 
 def _parameters(tool: Tool, node_name: str) -> list[str]:
