@@ -24,7 +24,7 @@ from gibson_sim.errors import GibsonSimError  # noqa: E402
 from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
 from gibson_sim.ros.nodes.physics_node import PhysicsNode  # noqa: E402
 from gibson_sim.ros.services import simulation_services  # noqa: E402
-from gibson_sim.ros.tools import nodes, topics  # noqa: E402
+from gibson_sim.ros.tools import nodes, params, topics  # noqa: E402
 from gibson_sim.ros.tools.hints import PHYSICS  # noqa: E402
 from gibson_sim.ros.tools.tool import PATIENCE_S as TOPIC_PATIENCE_S, USUAL_DISCOVERY_S, Tool  # noqa: E402
 from gibson_sim.ros.topics.discovery import DISCOVERY_S  # noqa: E402
@@ -109,6 +109,14 @@ def test_a_missing_topic_is_awaited_once(tool: Counting) -> None:
     with pytest.raises(GibsonSimError, match="topic '/nothing' has no publisher"):
         topics.topic_info(tool, "/nothing")
     assert tool.waited_s == TOPIC_PATIENCE_S
+
+
+def test_a_node_that_is_known_but_has_no_parameter_services_offers_no_parameters(
+    tool: Counting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tool, "known_nodes", lambda: ["/bare"])
+    with pytest.raises(GibsonSimError, match="node '/bare' offers no parameters"):
+        params.param_list(tool, "bare")
 
 
 def test_a_node_is_not_awaited_because_its_name_begins_like_that_of_a_simulation(
