@@ -34,7 +34,6 @@ OPTIONS = ("--robot", ROBOT, "--no-render")
 LIMIT_MB = 1200.0
 """What the physics node may have in use."""
 _TIDY_EVERY = 25
-_QUITTING = 4
 _READING = (
     "get_simulator_features", "get_simulation_state", "get_entities", "get_entities_states", "get_entity_state", "get_entity_info",
     "get_entity_bounds", "get_spawnables", "get_named_poses", "get_named_pose_bounds", "get_available_worlds", "get_current_world",
@@ -156,7 +155,7 @@ class ServiceFuzzer:
             request = self._request(mutator, name)
             for _ in range(mutator.times() if mutator.harsh or mutator.chance(0.3) else 0):
                 change(mutator, self._files, request)
-            if name == "set_simulation_state" and request.state.state == _QUITTING:
+            if name == "set_simulation_state" and request.state.state == request.state.STATE_QUITTING:
                 request.state.state = 2
             if name in ("step_simulation",):
                 request.steps = min(request.steps, 200)
