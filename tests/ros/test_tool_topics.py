@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -51,14 +52,35 @@ def others(ros_domain: int) -> Iterator[list[Node]]:
         context.shutdown()
 
 
-def test_a_latched_message_is_received_once_if_its_publisher_is_discovered_after_a_subscriber(
-    tool: Tool, others: list[Node]
+def test_a_latched_message_is_received_once_if_only_a_subscriber_is_discovered_at_first(
+    tool: Tool, others: list[Node], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recorder, publisher = others
     recorder.create_subscription(String, "/slow", lambda msg: None, 1)
+    latched = publisher.create_publisher(String, "/slow", LATCHED)
+    latched.publish(String(data="once"))
+    assert tool.spin_until(PATIENCE_S, lambda: tool.count_publishers("/slow") == 1)
     received: list[Any] = []
-    assert tool.subscribe("/slow", lambda msg: received.append(msg.data)) == ("/slow", TYPE)
-    publisher.create_publisher(String, "/slow", LATCHED).publish(String(data="once"))
+    with monkeypatch.context() as undiscovered:
+        undiscovered.setattr(tool, "get_publishers_info_by_topic", lambda topic: [])
+        assert tool.subscribe("/slow", lambda msg: received.append(msg.data)) == ("/slow", TYPE)
+    assert tool.spin_until(PATIENCE_S, lambda: bool(received))
+    tool.spin_until(0.5)
+    assert received == ["once"]
+
+
+@pytest.mark.parametrize("profile", [LATCHED, QoSProfile(depth=1), qos_profile_sensor_data])
+def test_a_message_is_received_once_that_arrives_before_its_publisher_is_discovered(
+    tool: Tool, others: list[Node], profile: QoSProfile
+) -> None:
+    received: list[Any] = []
+    tool.subscribe("/slow", lambda msg: received.append(msg.data), kind=TYPE)
+    publisher = others[1].create_publisher(String, "/slow", profile)
+    deadline = time.monotonic() + PATIENCE_S
+    while not publisher.get_subscription_count():  # the tool does not spin, and does not see it
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    publisher.publish(String(data="once"))
     assert tool.spin_until(PATIENCE_S, lambda: bool(received))
     tool.spin_until(0.5)
     assert received == ["once"]

@@ -207,7 +207,7 @@ class Tool(Node):
             present, now_s = (self.count_publishers(topic), self.count_subscribers(topic)), time.monotonic()
             if present != known:
                 known, changed_s = present, now_s
-            may_lack_publishers = not present[0] and now_s - self.start_s < DISCOVERY_S
+            may_lack_publishers = not present[0] and now_s - self.start_s < PATIENCE_S
             return now_s - changed_s >= _SETTLED_S and not may_lack_publishers
 
         self.spin_until(PATIENCE_S, are_settled)
