@@ -127,7 +127,9 @@ class _Reading:
     def _map(self, log_ns: int, msg: Any) -> None:
         info = msg.info
         if len(msg.data) != info.width * info.height:
-            self.notes.append(f"{self._topics['map']}: a map of {info.width}x{info.height} cells has {len(msg.data)} values: it is left out")
+            self.notes.append(
+                f"{self._topics['map']}: a map of {info.width}x{info.height} cells has {len(msg.data)} values: it is left out"
+            )
             return
         occupied = np.asarray(msg.data, dtype=np.int16).reshape(info.height, info.width) >= _OCCUPIED
         origin = (float(info.origin.position.x), float(info.origin.position.y))
