@@ -51,7 +51,8 @@ def change(mutator: Mutator, files: Sequence[str], message: Any) -> None:
         new = _fitting(mutator, value, kind)
     elif isinstance(value, list):
         if (value and isinstance(value[0], str)) or "string" in kind:
-            new = [*value, mutator.rng.choice(("a", "x" * 1000))] * mutator.rng.choice((0, 1, 2, 100))
+            # Repeated changes would make requests of gigabytes, which take rclpy minutes.
+            new = ([*value, mutator.rng.choice(("a", "x" * 1000))] * mutator.rng.choice((0, 1, 2, 100)))[:20_000]
         else:
             new = value * mutator.rng.choice((0, 2, 5))
     else:

@@ -361,6 +361,15 @@ def test_named_poses_are_those_of_the_world_as_it_was_loaded(make: Make, tmp_pat
     assert error.value.code is Result.NOT_FOUND
 
 
+def test_thousands_of_sources_are_refused_at_once() -> None:
+    for search in (
+        lambda sources: catalogue.available_worlds(sources, TagsFilter(), continue_on_error=True),
+        catalogue.spawnables,
+    ):
+        with pytest.raises(SimulationError, match="1001 sources are given, at most 1000 are searched; give folders above them"):
+            search(("a",) * 1001)
+
+
 def test_available_worlds_are_ours_and_those_of_the_sources(tmp_path: Path) -> None:
     folder = write_room(tmp_path / "tiny")
     found = catalogue.available_worlds((str(tmp_path),), TagsFilter(), continue_on_error=False)

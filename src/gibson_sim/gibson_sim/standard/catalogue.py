@@ -10,6 +10,9 @@ from gibson_sim.scenes.worlds import WorldEntry, built_in_worlds, find_world, wo
 from gibson_sim.standard.codes import Result, SimulationError, WorldsCode, shortened
 from gibson_sim.standard.filters import TagsFilter
 
+_MAX_SOURCES = 1000
+"""Maximum number of sources in a request."""
+
 
 def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_error: bool) -> tuple[WorldEntry, ...]:
     """Returns the worlds that can be loaded.
@@ -20,9 +23,10 @@ def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_
         continue_on_error: skip unreadable sources, unless no source has a world.
 
     Raises:
-        SimulationError: a source cannot be read, or the filter is invalid.
+        SimulationError: a source cannot be read, there are too many, or the filter is invalid.
     """
     tags.check()
+    _check_number(sources)
     worlds_by_uri: dict[str, WorldEntry] = {}
     failures: list[SimulationError] = []
     search = Search()
@@ -42,7 +46,12 @@ def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_
 
 
 def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
-    """Returns the spawnables, and one line that names the unusable sources: these do not make the request fail."""
+    """Returns the spawnables, and one line that names the unusable sources: these do not make the request fail.
+
+    Raises:
+        SimulationError: there are too many sources.
+    """
+    _check_number(sources)
     spawnables_by_uri = {spawnable.uri: spawnable for spawnable in find_spawnables(())}
     failures = []
     search = Search()
@@ -52,6 +61,14 @@ def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
         except GibsonSimError as error:
             failures.append(f"source {quoted(source)}: {error}")
     return tuple(spawnables_by_uri.values()), shortened("; ".join(failures))
+
+
+def _check_number(sources: tuple[str, ...]) -> None:
+    if len(sources) > _MAX_SOURCES:
+        raise SimulationError(
+            Result.OPERATION_FAILED,
+            f"{len(sources)} sources are given, at most {_MAX_SOURCES} are searched; give folders above them",
+        )
 
 
 def description_of(uri: str) -> WorldEntry | None:
