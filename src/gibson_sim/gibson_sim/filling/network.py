@@ -101,8 +101,6 @@ class GibsonNetwork:
         """See ``Filler``."""
         height, width = hole.shape
         holes = is_hole(hole)
-        if not holes.any():
-            return Filled(colour.copy(), depth.copy() if with_depth else None)
         # Trained on pinhole images of scans, the network knows no black rim and no robot: to it, these pixels are holes.
         moving = hole == MOVING
         known = np.where((hole == OUTSIDE) | moving, np.uint8(NOTHING), hole)
@@ -127,6 +125,8 @@ class GibsonNetwork:
 
 def _near_holes(corrected: U8, colour: U8, holes: NDArray[np.bool_]) -> U8:
     """Returns the corrected image in holes, fading to the rendered one with the distance from them."""
+    if not holes.any():
+        return colour.copy()
     distance = cv2.distanceTransform((~holes).astype(np.uint8), cv2.DIST_L2, 5)
     share = np.exp(distance * np.float32(-1.0 / REACH_PX))
     blended = cv2.blendLinear(corrected, colour, share, np.float32(1.0) - share)
