@@ -14,7 +14,6 @@ from support.simulation import require
 
 require("rclpy", "nav_msgs", "tf2_msgs")
 
-import rclpy  # noqa: E402
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped  # noqa: E402
 from nav_msgs.msg import OccupancyGrid, Odometry  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
@@ -95,14 +94,6 @@ def drive(fed: Fed, *, scan_first: bool = False) -> None:
         for what in (fed.scan, fed.tf) if scan_first else (fed.tf, fed.scan):
             if what == fed.tf or ms % 100 == 0:
                 what(ms, odom)
-
-
-@pytest.fixture
-def context(ros_domain: int) -> Iterator[Any]:
-    context = rclpy.Context()
-    context.init(domain_id=ros_domain)
-    yield context
-    context.try_shutdown()
 
 
 @pytest.fixture

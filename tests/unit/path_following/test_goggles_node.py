@@ -15,7 +15,6 @@ from support.simulation import require
 
 require("rclpy", "sensor_msgs")
 
-import rclpy  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import ReliabilityPolicy  # noqa: E402
@@ -41,14 +40,6 @@ def _info(second: int, width: int = 10, fx: float = 5.0) -> CameraInfo:
     msg = CameraInfo(width=width, height=6, k=[fx, *K[1:]])
     msg.header.frame_id, msg.header.stamp.sec = "info_optical", second
     return msg
-
-
-@pytest.fixture
-def context(ros_domain: int) -> Iterator[Any]:
-    context = rclpy.Context()
-    context.init(domain_id=ros_domain)
-    yield context
-    context.try_shutdown()
 
 
 @pytest.fixture

@@ -24,7 +24,6 @@ from support.simulation import require
 
 require("rclpy", "sensor_msgs", "lifecycle_msgs")
 
-import rclpy  # noqa: E402
 from geometry_msgs.msg import Twist  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
@@ -95,14 +94,6 @@ class Driven:
         for k in range(1, 4):
             self.see(0, k * TICK)
         return 3 * TICK
-
-
-@pytest.fixture
-def context(ros_domain: int) -> Iterator[Any]:
-    context = rclpy.Context()
-    context.init(domain_id=ros_domain)
-    yield context
-    context.try_shutdown()
 
 
 @pytest.fixture

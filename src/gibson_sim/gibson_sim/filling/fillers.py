@@ -79,9 +79,14 @@ def open_filler(fill: str) -> Filler:
     return open_network(_file_of(fill))
 
 
+def uses_network(fill: str) -> bool:
+    """Returns whether a value of ``CameraSpec.fill`` names a network, which can fail at any image."""
+    return fill not in ("", "push_pull")
+
+
 def network_digests(fills: Iterable[str]) -> dict[str, str]:
     """Returns the SHA-256 of the files of the networks among values of ``CameraSpec.fill``; empty if a file cannot be read."""
-    return {fill: _sha256(_file_of(fill)) for fill in fills if fill not in ("", "push_pull")}
+    return {fill: _sha256(_file_of(fill)) for fill in fills if uses_network(fill)}
 
 
 def _file_of(fill: str) -> Path:

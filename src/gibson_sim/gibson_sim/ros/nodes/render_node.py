@@ -14,7 +14,7 @@ from rclpy.node import Node
 from gibson_msgs.msg import Scene, SceneState
 from gibson_sim.config import RenderConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
-from gibson_sim.filling.fillers import network_digests
+from gibson_sim.filling.fillers import network_digests, uses_network
 from gibson_sim.geometry.exposures import needs_previous
 from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.processes.job_folder import STATUS, note_in_job
@@ -456,8 +456,9 @@ def _rating(values: Mapping[str, float], refused: Collection[str]) -> tuple[byte
 
 def _groups(specs: Mapping[int, CameraSpec]) -> list[list[int]]:
     """Returns the cameras in groups to be rendered together: an error costs the images of its group, so each with a network is on its own."""
-    others = [i for i, camera in specs.items() if camera.fill in ("", "push_pull")]
-    return [*([others] if others else []), *([i] for i in specs if i not in others)]
+    alone = [[i] for i, camera in specs.items() if uses_network(camera.fill)]
+    together = [i for i, camera in specs.items() if not uses_network(camera.fill)]
+    return [together, *alone] if together else alone
 
 
 def pop_queue(subscription: Any) -> Iterator[Any]:
