@@ -41,7 +41,7 @@ def renderer() -> Any:
 @pytest.fixture
 def with_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
     """Makes every renderer use a fake CUDA on its device."""
-    monkeypatch.setattr(tensors_module, "_cuda_of", fake_cuda)
+    monkeypatch.setattr(tensors_module, "cuda_of", fake_cuda)
     monkeypatch.setattr(tensors_module, "_import_torch", lambda: None)
 
 

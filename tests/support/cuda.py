@@ -33,6 +33,7 @@ class FakeCuda:
         self.opened: int | None = None
         self.registered: dict[int, int] = {}
         self.registrations = 0
+        self.writable: set[int] = set()
         self.mapped: set[int] = set()
         self.memory: dict[int, ctypes.Array[ctypes.c_char]] = {}
         self.freed: list[int] = []
@@ -47,11 +48,13 @@ class FakeCuda:
     def open(self, ordinal: int) -> None:
         self.opened = ordinal
 
-    def register(self, buffer: int) -> int:
+    def register(self, buffer: int, *, writable: bool) -> int:
         assert self.opened is not None
         assert buffer not in self.registered.values(), "registered twice"
         self.registrations += 1
         self.registered[self.registrations] = buffer
+        if writable:
+            self.writable.add(buffer)
         return self.registrations
 
     def unregister(self, handle: int) -> None:
@@ -64,7 +67,7 @@ class FakeCuda:
         self.calls.append("map")
         buffer, size = self.registered[handle], ctypes.c_int(0)
         self._size_of(buffer, 0x8764, ctypes.addressof(size))
-        return int(self._map(buffer, 0, size.value, 1)), size.value
+        return int(self._map(buffer, 0, size.value, 3 if buffer in self.writable else 1)), size.value
 
     def unmap(self, handle: int, stream: int) -> None:
         self.mapped.remove(handle)

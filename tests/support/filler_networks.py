@@ -7,11 +7,11 @@ import numpy as np
 from support import onnx_bytes as ox
 
 
-def _channels(first: int, last: int, output: str) -> tuple[bytes, dict[str, np.ndarray]]:
-    """Returns a node that cuts channels out of ``input``, and its constants."""
+def _channels(first: int, last: int, output: str, *, axis: int = 1, of: str = "input") -> tuple[bytes, dict[str, np.ndarray]]:
+    """Returns a node that cuts channels, or a part of another axis, out of a tensor, and its constants."""
     names = [f"{output}_{part}" for part in ("first", "last", "axis")]
-    values = (np.array([value]) for value in (first, last, 1))
-    return ox.node("Slice", ["input", *names], output), dict(zip(names, values, strict=True))
+    values = (np.array([value]) for value in (first, last, axis))
+    return ox.node("Slice", [of, *names], output), dict(zip(names, values, strict=True))
 
 
 def our_network(
@@ -33,6 +33,13 @@ def our_network(
         outputs.append(ox.value("inverse_depth", "float32", [1, 1, "h", "w"]))
     made = ox.model(nodes, [ox.value("input", "float32", [1, channels, size or "h", size or "w"])], outputs, tensors)
     return made + ox.message(14, ox.message(1, "gibson_filler") + ox.message(2, version))
+
+
+def network_that_cuts_rows(rows: int) -> bytes:
+    """Returns a network of our kind whose picture is its input's without the first rows."""
+    (picture, tensors), (lower, more) = _channels(0, 3, "picture"), _channels(rows, 1 << 20, "image", axis=2, of="picture")
+    inputs, outputs = ox.value("input", "float32", [1, 9, "h", "w"]), ox.value("image", "float32", [1, 3, "g", "w"])
+    return ox.model([picture, lower], [inputs], [outputs], {**tensors, **more})
 
 
 def network_that_fails_with_holes(share: float) -> bytes:

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gibson_sim.physics.engine import pybullet
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.context import gl as GL
-from gibson_sim.render.draw.hole_filling import HoleFilling
+from gibson_sim.render.draw.effects import Average
 from gibson_sim.render.draw.target import RenderTarget
+from gibson_sim.render.filling.hole_filling import HoleFilling
 from gibson_sim.render.readback.frames import Readback, TargetImage
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
@@ -121,16 +121,26 @@ class RendererPair:
 
 @contextmanager
 def timed_hole_filling(finish: Callable[[], None]) -> Iterator[Clock]:
-    """Times hole filling inside the block; ``finish`` completes the earlier rendering, for which hole filling would wait otherwise."""
-    with calls_of(HoleFilling, "fill") as clock:
-        timed = HoleFilling.fill
+    """Times hole filling inside the block; ``finish`` completes OpenGL's work before it, which it would wait for, and that of its own."""
+    original = HoleFilling.fill
 
-        def fill(self: HoleFilling, target: RenderTarget, image: TargetImage, blurred: NDArray[np.bool_] | None = None) -> None:
-            finish()
-            timed(self, target, image, blurred)
+    def finished(self: HoleFilling, target: RenderTarget, image: TargetImage, average: Average | None = None) -> None:
+        original(self, target, image, average)
+        finish()
 
-        HoleFilling.fill = fill  # type: ignore[method-assign]
-        yield clock
+    HoleFilling.fill = finished  # type: ignore[method-assign]
+    try:
+        with calls_of(HoleFilling, "fill") as clock:
+            timed = HoleFilling.fill
+
+            def fill(self: HoleFilling, target: RenderTarget, image: TargetImage, average: Average | None = None) -> None:
+                finish()
+                timed(self, target, image, average)
+
+            HoleFilling.fill = fill  # type: ignore[method-assign]
+            yield clock
+    finally:
+        HoleFilling.fill = original  # type: ignore[method-assign]
 
 
 def _with_physics(

@@ -60,11 +60,12 @@ class PushPull:
         return Filled(filled_colour(colour, hole), push_pull_depth(depth, is_hole(hole), hole == SURFACE) if with_depth else None)
 
 
-def open_filler(fill: str) -> Filler:
+def open_filler(fill: str, cuda_device: int = 0) -> Filler:
     """Returns the filler of a name or file.
 
     Args:
         fill: ``push_pull``, ``learned``, or the path of an ONNX file.
+        cuda_device: CUDA device ordinal for networks, if onnxruntime supports CUDA.
 
     Raises:
         ConfigError: the network is missing or of an unknown kind, or onnxruntime is not installed.
@@ -76,7 +77,7 @@ def open_filler(fill: str) -> Filler:
     # onnxruntime takes half a second to import, so it is only imported if needed.
     from gibson_sim.filling.network import open_network
 
-    return open_network(_file_of(fill))
+    return open_network(_file_of(fill), cuda_device)
 
 
 def uses_network(fill: str) -> bool:

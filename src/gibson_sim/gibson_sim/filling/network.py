@@ -14,7 +14,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.filling.fillers import Filled
 from gibson_sim.filling.holes import MOVING, NOTHING, OUTSIDE, SURFACE, UNSEEN, is_hole
 from gibson_sim.filling.inputs import CHANNELS, filled_colour, packed
-from gibson_sim.filling.onnx_files import open_session, run
+from gibson_sim.filling.onnx_files import DeviceTensor, device_of, not_finite, open_session, run, run_on_device
 from gibson_sim.filling.push_pull import push_pull_depth
 from gibson_sim.quoting import clipped, quoted
 
@@ -35,13 +35,13 @@ _CONTRACTS = (
 )
 
 
-def open_network(file: Path) -> GibsonNetwork | MiGanPipeline | MiGanGenerator:
-    """Returns the network in a file; its kind follows from the shapes of its inputs.
+def open_network(file: Path, cuda_device: int = 0) -> GibsonNetwork | MiGanPipeline | MiGanGenerator:
+    """Returns the network in a file; its kind follows from the shapes of its inputs. For ``cuda_device`` see ``open_session``.
 
     Raises:
         ConfigError: onnxruntime is not installed, or the file has no network of a supported kind.
     """
-    session = open_session(file)
+    session = open_session(file, cuda_device)
     inputs, outputs = session.get_inputs(), session.get_outputs()
     kinds, results = ([(value.type, tuple(value.shape)) for value in values] for values in (inputs, outputs))
     names = [value.name for value in inputs]
@@ -95,7 +95,38 @@ class GibsonNetwork:
     def __init__(self, file: Path, session: Any) -> None:
         self._file, self._session = file, session
         self._name = session.get_inputs()[0].name
-        self._has_depth = len(session.get_outputs()) > 1
+        self.has_depth = len(session.get_outputs()) > 1
+        """Whether a second output is inverse depth."""
+
+    @property
+    def device(self) -> str:
+        """Kind of device that the network runs on: ``cuda`` or ``cpu``."""
+        return device_of(self._session)
+
+    def run_on_device(self, ordinal: int, size: tuple[int, int], input_: int, image: int, inverse_depth: int | None) -> None:
+        """Runs the network on memory of its own device; returns when all its work has ended.
+
+        Args:
+            ordinal: ordinal of the device.
+            size: width and height, multiples of ``MULTIPLE``, pixels.
+            input_: address of the input, (1, 9, H, W) float32, see ``filling.inputs.network_input``.
+            image: address of the image, (1, 3, H, W) float32, 0 to 1.
+            inverse_depth: address of the inverse depth, (1, 1, H, W) float32, 1/m; None = not requested.
+
+        Raises:
+            ConfigError: the network cannot be run, or its outputs have other shapes.
+        """
+        names = [value.name for value in self._session.get_outputs()]
+        planes, (width, height) = (CHANNELS, 3, 1), size
+        shapes = [(1, count, height, width) for count in planes]
+        outputs = [DeviceTensor(names[0], shapes[1], image)]
+        if inverse_depth is not None:
+            outputs.append(DeviceTensor(names[1], shapes[2], inverse_depth))
+        run_on_device(self._session, self._file, ordinal, [DeviceTensor(self._name, shapes[0], input_)], outputs)
+
+    def not_finite(self) -> ConfigError:
+        """Returns the error of an output with a NaN or an infinity."""
+        return not_finite(self._file)
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
         """See ``Filler``."""
@@ -114,7 +145,7 @@ class GibsonNetwork:
         np.copyto(out, colour, where=((hole == UNSEEN) | (hole == OUTSIDE) | moving)[:, :, None])
         if not with_depth:
             return Filled(out)
-        if not self._has_depth:
+        if not self.has_depth:
             return Filled(out, push_pull_depth(depth, holes, hole == SURFACE))
         inverse = _planes(outputs[1], self._file, (1, 1, *values.shape[2:]))[0, 0, :height, :width]
         usable = inverse > _LEAST_INVERSE

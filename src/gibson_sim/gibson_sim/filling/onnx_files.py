@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +35,19 @@ _LONGEST_REASON = 240
 """Maximum length of a message of onnxruntime, characters."""
 _CODE = re.compile(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ")
 _SOURCE = re.compile(r"/onnxruntime_src/\S+:\d+ .*?\) (?=[A-Z])")
+_CUDA = "CUDAExecutionProvider"
+_CUDA_OPTIONS = {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"}
+"""The default search takes times, so that algorithms, and with them bits, could differ from run to run."""
 _EXTERNAL_DATA, _DATA_LOCATION = 13, 14
 """Fields of a tensor that refer to another file."""
 
 
-def open_session(file: Path) -> Any:
+def open_session(file: Path, cuda_device: int = 0) -> Any:
     """Returns an onnxruntime session for a file: on CUDA if onnxruntime supports it, else on the CPU.
+
+    Args:
+        file: an ONNX file.
+        cuda_device: CUDA device ordinal.
 
     Raises:
         ConfigError: onnxruntime is not installed or cannot load the file, or its weights are in other files.
@@ -65,13 +74,57 @@ def open_session(file: Path) -> Any:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.use_deterministic_compute = True
     options.log_severity_level = 4
-    providers = [
-        name for name in ("CUDAExecutionProvider", "CPUExecutionProvider") if name in onnxruntime.get_available_providers()
-    ]
+    providers: list[Any] = ["CPUExecutionProvider"]
+    if _CUDA in onnxruntime.get_available_providers():
+        if hasattr(onnxruntime, "preload_dlls"):  # CUDA and cuDNN of PyPI
+            onnxruntime.preload_dlls()
+        providers.insert(0, (_CUDA, {"device_id": str(cuda_device), **_CUDA_OPTIONS}))
     try:
         return onnxruntime.InferenceSession(content, options, providers=providers)
     except Exception as error:  # onnxruntime does not export their types
         raise ConfigError(f"onnxruntime cannot load {file}: {_reason(error)}; export it again, or update onnxruntime") from error
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceTensor:
+    """A float32 tensor in the memory of a device."""
+
+    name: str
+    """Name of an input or output of a network."""
+    shape: tuple[int, ...]
+    address: int
+
+
+def device_of(session: Any) -> str:
+    """Returns the kind of device that a network runs on, in the notation of onnxruntime: ``cuda`` or ``cpu``."""
+    return "cuda" if session.get_providers()[0] == _CUDA else "cpu"
+
+
+def run_on_device(
+    session: Any, file: Path, ordinal: int, inputs: Sequence[DeviceTensor], outputs: Sequence[DeviceTensor]
+) -> None:
+    """Runs a network on memory of its own device, without a copy; returns when all its work has ended.
+
+    Args:
+        session: session of ``open_session``.
+        file: its file.
+        ordinal: ordinal of the device with the tensors.
+        inputs: all inputs, already complete.
+        outputs: outputs to write; their shapes must be those that the network returns.
+
+    Raises:
+        ConfigError: the network cannot be run with these inputs and outputs.
+    """
+    device = device_of(session)
+    try:
+        binding = session.io_binding()
+        for bind, tensors in ((binding.bind_input, inputs), (binding.bind_output, outputs)):
+            for tensor in tensors:
+                bind(tensor.name, device, ordinal, np.float32, tensor.shape, tensor.address)
+        session.run_with_iobinding(binding)
+        binding.synchronize_outputs()
+    except Exception as error:  # onnxruntime does not export their types
+        raise ConfigError(f"{file} cannot be run: {_reason(error)}") from error
 
 
 def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
@@ -85,8 +138,13 @@ def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
     except Exception as error:  # onnxruntime does not export their types
         raise ConfigError(f"{file} cannot be run: {_reason(error)}") from error
     if not all(np.isfinite(value).all() for value in outputs if np.issubdtype(value.dtype, np.floating)):
-        raise ConfigError(f"{file}: its output holds a NaN or an infinity; export it again")
+        raise not_finite(file)
     return outputs
+
+
+def not_finite(file: Path) -> ConfigError:
+    """Returns the error of a network whose output has a NaN or an infinity."""
+    return ConfigError(f"{file}: its output holds a NaN or an infinity; export it again")
 
 
 def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:

@@ -31,10 +31,10 @@ from gibson_sim.render.draw.camera_images import CameraImages
 from gibson_sim.render.draw.effects import EffectsPass, changes_colors
 from gibson_sim.render.draw.gl_scene import GlScene
 from gibson_sim.render.draw.grouping import IdentityCache
-from gibson_sim.render.draw.hole_filling import HoleFilling
 from gibson_sim.render.draw.shutter import Shutter
 from gibson_sim.render.draw.splats import SplatPass
 from gibson_sim.render.draw.target import RenderTarget
+from gibson_sim.render.filling.hole_filling import HoleFilling, hole_filling_of
 from gibson_sim.render.readback.frames import Readback, TargetImage, needed
 from gibson_sim.render.readback.pixel_buffers import PendingFrames, PixelBuffers
 from gibson_sim.render.readback.tensors import TensorFrame, Tensors
@@ -365,7 +365,7 @@ class Renderer:
         if average or changes:
             self._effects.apply(camera, image.stamp_ns, target, image.x, image.y, average=average)
         if average and camera.fill:
-            self._filling().fill(target, image, self._effects.averaged_holes())
+            self._filling().fill(target, image, self._effects.average)
 
     def _fill_holes(self, target: RenderTarget, image: TargetImage) -> None:
         if image.camera.fill:
@@ -373,7 +373,7 @@ class Renderer:
 
     def _filling(self) -> HoleFilling:
         if self._hole_filling is None:
-            self._hole_filling = HoleFilling(self.context)
+            self._hole_filling = hole_filling_of(self.context)
         return self._hole_filling
 
     def prepare(self, cameras: Sequence[CameraSpec]) -> None:
@@ -426,7 +426,8 @@ class Renderer:
         """Frees all GPU resources; a second call does nothing."""
         context = self._context
         handles = (
-            self._camera_images, self._effects, self._shutter, self._pixel_buffers, self._tensors, self._splats, self._scene
+            self._camera_images, self._effects, self._shutter, self._hole_filling, self._pixel_buffers, self._tensors, self._splats,
+            self._scene,
         )  # fmt: skip
         self._context = self._scene = self._camera_images = self._effects = self._shutter = self._pixel_buffers = (
             self._tensors

@@ -15,6 +15,7 @@ _PROTOTYPES: dict[str, tuple[Any, ...]] = {
     "glBindBufferRange": (None, _U, _U, _U, _N, _N),
     "glBindBuffer": (None, _U, _U),
     "glBindFramebuffer": (None, _U, _U),
+    "glBindImageTexture": (None, _U, _U, _I, _B, _I, _U, _U),
     "glBindSampler": (None, _U, _U),
     "glBindTextureUnit": (None, _U, _U),
     "glBindVertexArray": (None, _U),
@@ -107,8 +108,9 @@ TEXTURE_MIN_FILTER, TEXTURE_MAG_FILTER, TEXTURE_WRAP_S, TEXTURE_WRAP_T, CLAMP_TO
 TEXTURE_2D_ARRAY, TEXTURE_COMPARE_MODE, TEXTURE_COMPARE_FUNC, COMPARE_REF_TO_TEXTURE = 0x8C1A, 0x884C, 0x884D, 0x884E
 GEQUAL, HALF_FLOAT, RGB16F, RG16F, RGBA8 = 0x0206, 0x140B, 0x881B, 0x822F, 0x8058
 SHADER_STORAGE_BUFFER, UNIFORM_BUFFER, DRAW_INDIRECT_BUFFER, STREAM_DRAW, STATIC_DRAW = 0x90D2, 0x8A11, 0x8F3F, 0x88E0, 0x88E4
-RGBA32F, ALL_BARRIERS, TRIANGLE_STRIP = 0x8814, 0xFFFFFFFF, 0x0005
-PACK_ALIGNMENT, UNPACK_ALIGNMENT, PIXEL_PACK_BUFFER, STREAM_READ, DYNAMIC_COPY = 0x0D05, 0x0CF5, 0x88EB, 0x88E1, 0x88EA
+RGBA32F, ALL_BARRIERS, TRIANGLE_STRIP, READ_WRITE = 0x8814, 0xFFFFFFFF, 0x0005, 0x88BA
+PACK_ALIGNMENT, UNPACK_ALIGNMENT, PIXEL_PACK_BUFFER, PIXEL_UNPACK_BUFFER = 0x0D05, 0x0CF5, 0x88EB, 0x88EC
+STREAM_READ, DYNAMIC_COPY = 0x88E1, 0x88EA
 
 
 class Gl:
@@ -135,6 +137,14 @@ class Gl:
         name = _U(0)
         getattr(self, function)(*arguments, 1, ctypes.byref(name))
         return name.value
+
+    def view(self, texture: int, internal_format: int) -> int:
+        """Returns a new view of a 2-D texture with its bytes in another format of the same size; delete it as a texture."""
+        view = self.create("glGenTextures")
+        self.glTextureView(view, TEXTURE_2D, texture, internal_format, 0, 1, 0, 1)
+        for parameter in (TEXTURE_MIN_FILTER, TEXTURE_MAG_FILTER):
+            self.glTextureParameteri(view, parameter, NEAREST)  # with the default filter an integer texture is incomplete
+        return view
 
     def delete(self, function: str, name: int) -> None:
         """Deletes one object with ``function``, e.g. ``glDeleteBuffers``."""

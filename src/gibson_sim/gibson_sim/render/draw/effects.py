@@ -129,7 +129,7 @@ class EffectsPass:
         self._context = context
         self._passes: dict[tuple[str, ...], ScreenPass] = {}
         self._drafts: dict[tuple[int, int], RenderTarget] = {}
-        self._average: _Average | None = None
+        self._average: Average | None = None
 
     def begin(self, width: int, height: int) -> None:
         """Starts averaging pictures of the given size, pixels."""
@@ -137,7 +137,7 @@ class EffectsPass:
             self._average.close()
             self._average = None
         if self._average is None:
-            self._average = _Average(self._context, width, height)
+            self._average = Average(self._context, width, height)
         self._average.clear()
 
     def add(self, color: int, rows: slice, weight: float, first: int | None = None, normals: int | None = None) -> None:
@@ -148,17 +148,16 @@ class EffectsPass:
             rows: rows of the image; start and stop are given.
             weight: weight of the picture; the weights of a row sum to 1.
             first: row of the texture with the first of these rows; None = ``rows.start``.
-            normals: OpenGL name of the picture's normals, which mark its holes for ``averaged_holes``; None = no holes.
+            normals: OpenGL name of the picture's normals, which mark its holes for ``Average.holes``; None = no holes.
         """
-        if self._average is None:
-            raise RenderError("averaging has not begun; call begin first")
-        self._average.add(color, rows, weight, rows.start if first is None else first, normals)
+        self.average.add(color, rows, weight, rows.start if first is None else first, normals)
 
-    def averaged_holes(self) -> NDArray[np.bool_]:
-        """Returns the mask, (H, W), of the pixels that are holes in at least one picture of the average."""
+    @property
+    def average(self) -> Average:
+        """The average."""
         if self._average is None:
             raise RenderError("averaging has not begun; call begin first")
-        return self._average.holes()
+        return self._average
 
     def run(
         self, camera: CameraSpec, stamp_ns: int, color: int | None, out: RenderTarget, origin: tuple[int, int] = (0, 0)
@@ -172,10 +171,7 @@ class EffectsPass:
             out: target of the camera's size; ``color`` must not be one of its textures.
             origin: column and row of the image's top left corner in ``color``.
         """
-        if color is None:
-            if self._average is None:
-                raise RenderError("averaging has not begun; call begin and add first")
-            color = self._average.texture
+        color = self.average.texture if color is None else color
         noisy = camera.effects.read_noise > 0.0 or camera.effects.shot_noise > 0.0
         defines = (*(("NOISE",) if noisy else ()), *(("ANGULAR",) if camera.projection == "fisheye" else ()))
         if defines not in self._passes:
@@ -214,7 +210,7 @@ class EffectsPass:
             average.close()
 
 
-class _Average:
+class Average:
     """A weighted sum of pictures in 32-bit floats."""
 
     def __init__(self, context: GlContext, width: int, height: int) -> None:
@@ -229,7 +225,7 @@ class _Average:
 
     @property
     def texture(self) -> int:
-        """OpenGL name of the texture with the sum."""
+        """OpenGL name of the texture with the sum; alpha is above 0 where at least one picture has a hole."""
         return int(self._texture.glo)
 
     def clear(self) -> None:
@@ -237,10 +233,12 @@ class _Average:
         self._framebuffer.clear()
 
     def holes(self) -> NDArray[np.bool_]:
+        """Returns the mask, (H, W), of the pixels that are holes in at least one picture."""
         sums = np.frombuffer(self._texture.read(), dtype=np.float32).reshape(self.height, self.width, 4)
         return np.asarray(sums[:, :, 3] > 0.0)
 
     def add(self, color: int, rows: slice, weight: float, first: int, normals: int | None) -> None:
+        """See ``EffectsPass.add``."""
         gl = self._gl
         self._framebuffer.use()
         for state in (GL.DEPTH_TEST, GL.CULL_FACE):
@@ -260,5 +258,6 @@ class _Average:
             gl.glDisable(state)
 
     def close(self) -> None:
+        """Frees all GPU resources. The context must be current."""
         for handle in (self._array, self._program, self._framebuffer, self._texture):
             handle.release()

@@ -1,4 +1,4 @@
-"""Copies OpenGL buffers to CUDA memory on the same GPU.
+"""Shares OpenGL buffers with CUDA on the same GPU: copies them to CUDA memory, or gives CUDA their addresses.
 
 Only ``CudaPython`` needs an NVIDIA GPU and the package ``cuda-bindings`` (``pip install 'gibson_sim[cuda]'``). ``CudaLink`` uses CUDA through
 ``CudaDriver``, a dozen functions, so that it can be tested without a GPU.
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -24,7 +24,7 @@ from gibson_sim.render.readback.pixel_buffers import GlBuffer
 _log = logging.getLogger(__name__)
 DLPACK_CUDA = 2
 """DLPack device type ``kDLCUDA``."""
-_READ_ONLY = 1
+_READ_WRITE, _READ_ONLY = 0, 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +52,8 @@ class CudaDriver(Protocol):
     def open(self, ordinal: int) -> None:
         """Selects the device of all further calls."""
 
-    def register(self, buffer: int) -> Any:
-        """Registers an OpenGL buffer for reading by CUDA and returns its handle."""
+    def register(self, buffer: int, *, writable: bool) -> Any:
+        """Registers an OpenGL buffer for reading, and if ``writable`` for writing, by CUDA, and returns its handle."""
 
     def unregister(self, handle: Any) -> None:
         """Unregisters a buffer."""
@@ -144,10 +144,10 @@ class CudaPython:
         """See ``CudaDriver``."""
         self._context = self._call("cuDevicePrimaryCtxRetain", self._call("cuDeviceGet", ordinal))
 
-    def register(self, buffer: int) -> Any:
+    def register(self, buffer: int, *, writable: bool) -> Any:
         """See ``CudaDriver``."""
         with self._current():
-            return self._call("cuGraphicsGLRegisterBuffer", buffer, _READ_ONLY)
+            return self._call("cuGraphicsGLRegisterBuffer", buffer, _READ_WRITE if writable else _READ_ONLY)
 
     def unregister(self, handle: Any) -> None:
         """See ``CudaDriver``."""
@@ -210,8 +210,19 @@ def find_device(drawing: EglDevice, devices: Sequence[CudaDevice], gl_ordinals: 
     )
 
 
+def cuda_of(context: GlContext) -> CudaDriver | None:
+    """Returns CUDA if the context draws on an NVIDIA GPU and CUDA is installed; warns if only the package is missing."""
+    if context.device.software or "nvidia" not in context.device.vendor.lower():
+        return None
+    try:
+        return CudaPython()
+    except GraphicsUnavailableError as e:
+        _log.warning("tensors and hole-filling networks use the CPU: %s", e)
+        return None
+
+
 class CudaLink:
-    """Copies OpenGL buffers to CUDA memory of the same GPU.
+    """Shares OpenGL buffers with CUDA on the same GPU. A buffer is either copied or mapped, never both.
 
     Args:
         context: context of the buffers; it must be current in every call.
@@ -239,9 +250,7 @@ class CudaLink:
         Raises:
             RenderError: a CUDA function fails.
         """
-        if buffer.name not in self._handles:
-            self._handles[buffer.name] = self.driver.register(buffer.name)
-        handle = self._handles[buffer.name]
+        handle = self._registered(buffer, writable=False)
         source, size = self.driver.map(handle, stream)
         try:
             if size < nbytes:
@@ -251,6 +260,32 @@ class CudaLink:
             self.driver.copy(destination, source, nbytes, stream)
         finally:
             self.driver.unmap(handle, stream)
+
+    @contextmanager
+    def mapped(self, buffers: Sequence[GlBuffer]) -> Iterator[list[int]]:
+        """Lends buffers to CUDA for reading and writing, and yields their addresses, once all earlier work of OpenGL has ended.
+
+        CUDA's work on them must have ended at the end of the block.
+
+        Raises:
+            RenderError: a CUDA function fails.
+        """
+        addresses: list[int] = []
+        with ExitStack() as stack:
+            for buffer in buffers:
+                handle = self._registered(buffer, writable=True)
+                address, size = self.driver.map(handle, 0)
+                stack.callback(self.driver.unmap, handle, 0)
+                if size < buffer.size:
+                    raise RenderError(f"CUDA sees {size} bytes of an OpenGL buffer of {buffer.size}: update the driver")
+                addresses.append(address)
+            self.driver.synchronize(0)
+            yield addresses
+
+    def _registered(self, buffer: GlBuffer, *, writable: bool) -> Any:
+        if buffer.name not in self._handles:
+            self._handles[buffer.name] = self.driver.register(buffer.name, writable=writable)
+        return self._handles[buffer.name]
 
     def forget(self, buffer: GlBuffer) -> None:
         """Unregisters a buffer; call this before freeing it."""

@@ -180,12 +180,7 @@ class Packer:
         for name, (unit, view_format) in _VIEWS.items():
             texture = target.textures.get(name, 0)
             if texture and view_format:
-                view = gl.create("glGenTextures")
-                gl.glTextureView(view, GL.TEXTURE_2D, texture, view_format, 0, 1, 0, 1)
-                for parameter in (GL.TEXTURE_MIN_FILTER, GL.TEXTURE_MAG_FILTER):
-                    gl.glTextureParameteri(
-                        view, parameter, GL.NEAREST
-                    )  # with the default filter an integer texture is incomplete
+                view = gl.view(texture, view_format)
                 views.append(view)
                 texture = view
             gl.glBindSampler(unit, 0)

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.errors import GraphicsUnavailableError, RenderError
+from gibson_sim.errors import RenderError
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.draw.target import RenderTarget
-from gibson_sim.render.readback.cuda import CudaDriver, CudaLink, CudaPython
+from gibson_sim.render.readback.cuda import CudaDriver, CudaLink, cuda_of
 from gibson_sim.render.readback.dlpack import DeviceArray, Memory
 from gibson_sim.render.readback.frames import TargetImage
 from gibson_sim.render.readback.packing import ORDER, Packer, Stack
@@ -78,7 +78,7 @@ class Tensors:
         self._torch = _import_torch()
         self._link: CudaLink | None = None
         self._packer: Packer | None = None
-        driver = driver or _cuda_of(context)
+        driver = driver or cuda_of(context)
         if driver is not None:
             self._link = CudaLink(context, driver)
             self._packer = Packer(context, on_free=self._link.forget)
@@ -157,17 +157,6 @@ def _import_torch() -> Any:
         _log.warning("PyTorch %s has no uint16: images are exported by DLPack instead; install 2.3 or later", torch.__version__)
         return None
     return torch
-
-
-def _cuda_of(context: GlContext) -> CudaDriver | None:
-    """Returns CUDA if the context draws on an NVIDIA GPU and CUDA is installed; warns if only the package is missing."""
-    if context.device.software or "nvidia" not in context.device.vendor.lower():
-        return None
-    try:
-        return CudaPython()
-    except GraphicsUnavailableError as e:
-        _log.warning("tensors are on the CPU: %s", e)
-        return None
 
 
 def _has_device(torch: Any, link: CudaLink | None, driver: CudaDriver) -> bool:

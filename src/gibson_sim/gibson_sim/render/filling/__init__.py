@@ -1,0 +1,1 @@
+"""Hole filling of rendered images: on the host, and on the GPU."""
