@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, RenderError
 from gibson_sim.filling.holes import is_hole
 from gibson_sim.render import renderer as renderer_module
 from gibson_sim.render.context import EglDevice, GlContext, gl as GL, open_context
 from gibson_sim.render.draw.effects import Average
 from gibson_sim.render.draw.target import RenderTarget
+from gibson_sim.render.filling import gpu_filling
 from gibson_sim.render.filling.gpu_filling import GpuFilling, levels_of
 from gibson_sim.render.filling.hole_filling import HoleFilling, hole_filling_of
 from gibson_sim.render.readback.cuda import CudaDevice, CudaPython
@@ -24,7 +26,7 @@ from gibson_sim.render.readback.frames import Readback, TargetImage, hole_of
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import CameraSpec, Frame
 from render.drawing import EYE, box, scene, state
-from support.cuda import FakeCuda, fake_cuda
+from support.cuda import FakeCuda, fake_cuda, fetched
 from support.filler_networks import network_that_cuts_rows, network_that_fails_with_holes, our_network, pipeline
 from support.targets import Images, blank_images, fill, random_images
 
@@ -72,6 +74,17 @@ class Blur:
         return self.mask
 
 
+@contextmanager
+def blur(context: GlContext) -> Iterator[Blur]:
+    """Yields an average of the size ``SIZE``, a fifth of which are holes."""
+    mask = np.random.default_rng(5).random(SIZE[::-1]) < 0.2
+    sums = np.zeros((*mask.shape, 4), dtype=np.float32)
+    sums[..., 3] = mask
+    texture = context.gl.texture(SIZE, 4, sums.tobytes(), dtype="f4")
+    yield Blur(texture.glo, mask)
+    texture.release()
+
+
 class Stage:
     """A target with known pixels, filled on the host or on the GPU."""
 
@@ -102,6 +115,18 @@ class Stage:
 
     def close(self) -> None:
         self.on_gpu.close()
+
+
+@pytest.fixture(autouse=True)
+def networks_on_the_cpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keeps networks in host memory, where the pretended CUDA is, even if onnxruntime supports CUDA; not in tests of a real GPU."""
+    if request.node.get_closest_marker("gpu") is None:
+        use_cpu(monkeypatch)
+
+
+def use_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes new sessions of onnxruntime use the CPU."""
+    monkeypatch.setattr("onnxruntime.get_available_providers", lambda: ["CPUExecutionProvider"])
 
 
 @pytest.fixture(scope="module")
@@ -166,16 +191,19 @@ def test_corrections_fade_with_the_distance_from_a_hole_as_on_the_host(stage: St
 
 @pytest.mark.parametrize("fill_of", ["push_pull", "network with depth"])
 def test_blurred_colours_are_filled_where_a_hole_was_at_any_time(stage: Stage, fills: dict[str, str], fill_of: str) -> None:
-    mask = np.random.default_rng(5).random(SIZE[::-1]) < 0.2
-    sums = np.zeros((*mask.shape, 4), dtype=np.float32)
-    sums[..., 3] = mask
-    texture = stage.context.gl.texture(SIZE, 4, sums.tobytes(), dtype="f4")
     images = drawn(2)
-    found = stage.both(replace(CAMERA, fill=fills[fill_of]), images, average=Blur(texture.glo, mask))
+    with blur(stage.context) as average:
+        found = stage.both(replace(CAMERA, fill=fills[fill_of]), images, average=average)
     assert_equal(*found)
     filled = (found[1].rgb != images["color"][..., :3]).any(axis=2)
-    assert filled[mask & (images["NORMALS"][..., 3] >= MOVING)].mean() > 0.9
-    texture.release()
+    assert filled[average.mask & (images["NORMALS"][..., 3] >= MOVING)].mean() > 0.9
+
+
+def test_depth_beside_blurred_colours_follows_from_the_colours_as_drawn(stage: Stage, tmp_path: Path) -> None:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(our_network(gain=0.7, depth=True, offset=0.1, depth_channel=0))
+    with blur(stage.context) as average:
+        assert_equal(*stage.both(replace(CAMERA, fill=str(file)), drawn(2, holes=0.6), average=average))
 
 
 def test_an_image_beside_others_is_filled_for_itself(stage: Stage, fills: dict[str, str]) -> None:
@@ -251,6 +279,22 @@ def test_buffers_that_grow_are_unregistered_and_closing_frees_everything(stage: 
     assert not stage.cuda.registered
 
 
+def test_the_gpu_fills_even_if_no_context_was_current_when_it_was_prepared(context: GlContext) -> None:
+    other = open_context()
+    other.make_current()
+    other.close()
+    gpu = GpuFilling(context)
+    filler = HoleFilling(context, gpu).prepare("push_pull")
+    context.make_current()
+    assert gpu.can_fill(filler, TargetImage(CAMERA, 0, np.eye(4)))
+
+
+def test_a_driver_that_rejects_the_passes_is_named(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(gpu_filling._STORED, "color", GL.RGBA16UI)  # a view needs a format of the same size
+    with pytest.raises(RenderError, match=r"cannot fill holes \(error 0x50[0-9]\); update its driver"):
+        stage.frame(stage.on_gpu, CAMERA, drawn())
+
+
 def test_levels_halve_down_to_one_pixel() -> None:
     assert levels_of(5, 3) == [(0, (5, 3)), (15, (3, 2)), (21, (2, 1)), (23, (1, 1))]
     assert levels_of(1, 1) == [(0, (1, 1))]
@@ -295,9 +339,14 @@ def test_images_and_tensors_of_a_renderer_are_filled_on_the_gpu(monkeypatch: pyt
         with Renderer(scene(*walls)) as made:
             frames[way] = (*made.render(state(), [camera]), *made.render_tensors(state(), [camera]))
     for host, gpu in zip(frames["host"], frames["gpu"], strict=True):
-        assert np.abs(np.asarray(host.rgb).astype(int) - np.asarray(gpu.rgb)).max() <= 1
-        np.testing.assert_allclose(np.asarray(gpu.depth), np.asarray(host.depth), rtol=2e-5)
+        assert np.abs(on_host(host.rgb).astype(int) - on_host(gpu.rgb)).max() <= 1
+        np.testing.assert_allclose(on_host(gpu.depth), on_host(host.depth), rtol=2e-5)
     assert used and not used[0].registered, "closing the renderer frees the buffers"
+
+
+def on_host(image: Any) -> np.ndarray[Any, Any]:
+    """Returns an image of a frame, or a tensor wherever it is, as an array."""
+    return image if isinstance(image, np.ndarray) else fetched(image)
 
 
 def test_an_average_tells_its_holes_by_the_alpha_of_its_texture(context: GlContext) -> None:
@@ -313,14 +362,17 @@ def test_an_average_tells_its_holes_by_the_alpha_of_its_texture(context: GlConte
 @pytest.mark.gpu
 @pytest.mark.parametrize("fill_of", ["push_pull", "network", "network with depth", "learned"])
 def test_on_a_real_gpu_holes_are_filled_as_on_the_host(
-    nvidia: tuple[GlContext, CudaPython], fills: dict[str, str], fill_of: str
+    nvidia: tuple[GlContext, CudaPython], fills: dict[str, str], fill_of: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     context, driver = nvidia
     gpu = GpuFilling(context, lambda _: driver)
     camera = replace(CAMERA, width=256, height=256, fill=fills.get(fill_of, fill_of))
     filling, images = HoleFilling(context, gpu), drawn(size=(256, 256))
     assert gpu.can_fill(filling.prepare(camera.fill), TargetImage(camera, 0, np.eye(4))), "onnxruntime-gpu does not run on CUDA"
-    found, again, host = (Stage(context).frame(way, camera, images) for way in (filling, filling, HoleFilling(context)))
+    by_cpu = HoleFilling(context)
+    use_cpu(monkeypatch)
+    by_cpu.prepare(camera.fill)
+    found, again, host = (Stage(context).frame(way, camera, images) for way in (filling, filling, by_cpu))
     difference = np.abs(host.rgb.astype(int) - found.rgb)
     assert difference.max() <= (4 if fill_of == "learned" else 1) and np.array_equal(found.rgb, again.rgb)
     np.testing.assert_allclose(found.depth, host.depth, rtol=1e-3)

@@ -16,9 +16,9 @@ def _channels(first: int, last: int, output: str, *, axis: int = 1, of: str = "i
 
 def our_network(
     channels: int = 9, depth: bool = False, version: str = "1", nan: bool = False, size: int | None = None, offset: float = 0.5,
-    gain: float = 1.0,
+    gain: float = 1.0, depth_channel: int = 3,
 ) -> bytes:  # fmt: skip
-    """Returns a network of our kind whose picture is its input's times ``gain``, and whose inverse depth is its input's plus ``offset``."""
+    """Returns a network of our kind: its picture is its input's times ``gain``, its inverse depth a channel of its input plus ``offset``."""
     cut, tensors = _channels(0, 3, "cut")
     nodes, outputs = [cut], [ox.value("image", "float32", [1, 3, "h", "w"])]
     if not nan:
@@ -27,7 +27,7 @@ def our_network(
         nodes += [ox.node("Sub", ["cut", "two"], "below"), ox.node("Sqrt", ["below"], "image")]
         tensors["two"] = np.float32(2.0)
     if depth:
-        cut, more = _channels(3, 4, "inverse")
+        cut, more = _channels(depth_channel, depth_channel + 1, "inverse")
         nodes += [cut, ox.node("Add", ["inverse", "offset"], "inverse_depth")]
         tensors = {**tensors, **more, "offset": np.float32(offset)}
         outputs.append(ox.value("inverse_depth", "float32", [1, 1, "h", "w"]))

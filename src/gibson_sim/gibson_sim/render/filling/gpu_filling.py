@@ -15,7 +15,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from gibson_sim.errors import GraphicsUnavailableError
+from gibson_sim.errors import GraphicsUnavailableError, RenderError
 from gibson_sim.filling.fillers import Filler, PushPull
 from gibson_sim.filling.inputs import CHANNELS
 from gibson_sim.filling.network import MULTIPLE, REACH_PX, GibsonNetwork
@@ -52,9 +52,14 @@ class GpuFilling:
     def __init__(self, context: GlContext, cuda: Callable[[GlContext], CudaDriver | None] = cuda_of) -> None:
         self._context, self._cuda = context, cuda
         self._gl = GL.Gl(context)
-        self._limit = self._gl.integer(GL.MAX_SHADER_STORAGE_BLOCK_SIZE)
+        self._checked = False
         self._shaders: dict[tuple[str, tuple[str, ...]], moderngl.ComputeShader] = {}
         self._buffers: dict[str, GlBuffer] = {}
+
+    @cached_property
+    def _limit(self) -> int:
+        """Maximum size of a buffer, bytes; read at the first image, since it is 0 without a current context."""
+        return self._gl.integer(GL.MAX_SHADER_STORAGE_BLOCK_SIZE)
 
     @cached_property
     def _link(self) -> CudaLink | None:
@@ -98,26 +103,38 @@ class GpuFilling:
 
         Raises:
             ConfigError: the network cannot be run.
+            RenderError: the driver rejects the passes, or does not have enough memory.
         """
         network = filler if isinstance(filler, GibsonNetwork) else None
+        if not self._checked:
+            self._gl.glGetError()
         views = {name: self._gl.view(target.textures[name], number) for name, number in _STORED.items()}
         try:
             work = _Work(self, target, image, network, views)
+            # Depth is never an average: its holes are those of the image alone. Networks see the image as it was drawn, so nothing is
+            # written to it before the last of them has run.
+            apart = with_depth and (average is not None or not colours)
+            if apart:
+                work.compute(None)
+                work.compute_depth()
             if colours:
-                work.find(average)
-                if network is not None:
-                    work.run(network)
+                work.compute(average)
                 work.write_colours()
             if with_depth:
-                # Depth is never an average: its holes are those of the image alone.
-                if not colours or average is not None:
-                    work.find(None)
-                    if network is not None:
-                        work.run(network)
+                if not apart:
+                    work.compute_depth()
                 work.write_depth()
+            self._check()
         finally:
             for view in views.values():
                 self._gl.delete("glDeleteTextures", view)
+
+    def _check(self) -> None:
+        """Raises an error if the driver has rejected a call; only at the first image: glGetError makes some drivers wait."""
+        error = 0 if self._checked else self._gl.glGetError()
+        if error:
+            raise RenderError(f"{self._context.device.renderer} cannot fill holes (error 0x{error:x}); update its driver")
+        self._checked = True
 
     def shader(self, name: str, *defines: str) -> moderngl.ComputeShader:
         """Returns a compute pass, compiled at the first call."""
@@ -216,6 +233,7 @@ class _Work:
         pixels = self._canvas[0] * self._canvas[1]
         owner.reserve("codes", 4 * pixels)
         owner.reserve("pyramid", 16 * (last + 1))
+        owner.reserve("depth", 4 * self._size[0] * self._size[1])
         owner.reserve("flags", 4).write(np.zeros(1, dtype=np.uint32))
         if network is not None:
             plane = 4 * self._padded[0] * self._padded[1]
@@ -225,14 +243,12 @@ class _Work:
             if network.has_depth:
                 owner.reserve("inverse", plane)
 
-    def find(self, average: int | None) -> None:
-        """Finds the holes, and fills the colours by push-pull in the pyramid."""
+    def compute(self, average: int | None) -> None:
+        """Finds the holes, fills the colours by push-pull in the pyramid, and runs the network on them if there is one."""
         self._push_pull(average, of_depth=False)
-
-    def run(self, network: GibsonNetwork) -> None:
-        """Runs a network."""
-        self._dispatch(("fill_input",), self._padded)
-        self._owner.run_network(network, self._padded)
+        if self._network is not None:
+            self._dispatch(("fill_input",), self._padded)
+            self._owner.run_network(self._network, self._padded)
 
     def write_colours(self) -> None:
         """Writes colours to the target."""
@@ -242,13 +258,15 @@ class _Work:
         self._dispatch(("fill_color", *self._defines), self._size)
         self._check()
 
-    def write_depth(self) -> None:
-        """Writes depth to the target."""
+    def compute_depth(self) -> None:
+        """Writes filled depth to the buffer ``depth``."""
         self._push_pull(None, of_depth=True)
-        self._owner.reserve("depth", 4 * self._size[0] * self._size[1])
         by_network = self._network is not None and self._network.has_depth
         self._dispatch(("fill_depth", *(self._defines if by_network else ())), self._size)
         self._check()
+
+    def write_depth(self) -> None:
+        """Writes depth to the target."""
         self._owner.upload_depth(self._target, self._image)
 
     @property

@@ -16,6 +16,9 @@ bool is_hole(uint code) { return code == NOTHING || code == BACK_FACE; }
 // Whether push-pull fills a pixel of colours: a network also sees moving links, and what is outside the lens, as holes.
 bool is_hole_to_network(uint code) { return is_hole(code) || code == OUTSIDE || code == MOVING; }
 
+// GLSL lets isnan() and isinf() be false for all values.
+bool is_finite(float value) { return (floatBitsToUint(value) & 0x7F800000u) != 0x7F800000u; }
+
 ivec2 canvas() { return ivec2(u_rect.z + 2 * u_turn, u_rect.w); }
 
 ivec2 here() { return ivec2(gl_GlobalInvocationID.xy); }

@@ -32,7 +32,7 @@ void main() {
 #ifdef NETWORK
     int plane = u_padded.x * u_padded.y, own = pixel.y * u_padded.x + pixel.x;
     vec3 color = vec3(planes[own], planes[plane + own], planes[2 * plane + own]);
-    if (any(isnan(color)) || any(isinf(color))) is_not_finite = 1u;
+    if (!is_finite(color.r) || !is_finite(color.g) || !is_finite(color.b)) is_not_finite = 1u;
     if (code != SURFACE && !is_hole(code)) return;
     uvec4 drawn = imageLoad(u_image, texel(pixel));
     float share = share_at(pixel);

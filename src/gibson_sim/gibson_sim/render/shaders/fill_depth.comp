@@ -21,7 +21,7 @@ void main() {
     float inverse = pyramid[canvas_index(pixel)].r;
 #ifdef NETWORK
     float told = inverse_of_network[pixel.y * u_padded.x + pixel.x];
-    if (isnan(told) || isinf(told)) is_not_finite = 1u;
+    if (!is_finite(told)) is_not_finite = 1u;
     if (told > LEAST) inverse = told;
 #endif
     uvec4 normal = texelFetch(u_normals, texel(pixel), 0);
