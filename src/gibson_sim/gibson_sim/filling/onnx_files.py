@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import clipped
 from gibson_sim.reading import read_file
 
+_log = logging.getLogger(__name__)
 MAX_BYTES = 256 << 20
 """Maximum size of a file, bytes. LaMa, the largest inpainting network in wide use, has 208 MB; MI-GAN has 28 MB."""
 THREADS = 2
@@ -76,8 +80,10 @@ def open_session(file: Path, cuda_device: int = 0) -> Any:
     options.log_severity_level = 4
     providers: list[Any] = ["CPUExecutionProvider"]
     if _CUDA in onnxruntime.get_available_providers():
-        if hasattr(onnxruntime, "preload_dlls"):  # CUDA and cuDNN of PyPI
-            onnxruntime.preload_dlls()
+        if hasattr(onnxruntime, "preload_dlls"):  # CUDA and cuDNN of PyPI; it prints what it does not find
+            with redirect_stdout(StringIO()) as printed:
+                onnxruntime.preload_dlls()
+            _log.info("%s", printed.getvalue())
         providers.insert(0, (_CUDA, {"device_id": str(cuda_device), **_CUDA_OPTIONS}))
     try:
         return onnxruntime.InferenceSession(content, options, providers=providers)

@@ -385,6 +385,7 @@ class Renderer:
         self._check_usable()
         if self._splats is not None:
             self._check_fills(cameras)
+        self.context.make_current()
         for fill in {camera.fill for camera in cameras if camera.fill}:
             self._filling().prepare(fill)
 

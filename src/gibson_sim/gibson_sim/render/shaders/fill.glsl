@@ -13,7 +13,7 @@ const uint SURFACE = 0u, NOTHING = 1u, BACK_FACE = 2u, UNSEEN = 3u, OUTSIDE = 4u
 
 bool is_hole(uint code) { return code == NOTHING || code == BACK_FACE; }
 
-// Whether push-pull fills a pixel of colours: a network also sees moving links, and what is outside the lens, as holes.
+// Whether a pixel is a hole to a network: moving links are, too, and what is outside the lens.
 bool is_hole_to_network(uint code) { return is_hole(code) || code == OUTSIDE || code == MOVING; }
 
 // GLSL lets isnan() and isinf() be false for all values.
