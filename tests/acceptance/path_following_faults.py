@@ -36,7 +36,7 @@ from simulation_interfaces.srv import (
 )
 from std_msgs.msg import Bool, String
 
-from gibson_path_following.path_folder import load_path
+from gibson_path_following.paths.path_folder import load_path
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.trials.execution.walking import person_pose, person_urdf
 from gibson_sim.trials.records import Person

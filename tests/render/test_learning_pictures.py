@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gibson_path_following.floor_plane import FloorPlane
+from gibson_path_following.obstacles.floor_plane import FloorPlane
 from gibson_sim.tasks.pictures import TaskCamera
 from gibson_sim.tasks.registry import task_of
 from gibson_sim.tasks.run import TaskRun

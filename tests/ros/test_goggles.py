@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image  # noqa: E402
 
-from gibson_path_following.goggles import ColourReference, make_goggles  # noqa: E402
+from gibson_path_following.images.goggles import ColourReference, make_goggles  # noqa: E402
 from gibson_path_following.nodes.goggles import GogglesNode  # noqa: E402
 
 pytestmark = pytest.mark.ros

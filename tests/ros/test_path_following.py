@@ -25,7 +25,7 @@ from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa
 from gibson_path_following.nodes.path_localiser import PathLocaliserNode  # noqa: E402
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
 from gibson_path_following.nodes.path_recorder import PathRecorderNode  # noqa: E402
-from gibson_path_following.path_folder import load_path  # noqa: E402
+from gibson_path_following.paths.path_folder import load_path  # noqa: E402
 from support.clients import Control  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.egl]

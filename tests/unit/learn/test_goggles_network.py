@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_path_following.goggles import LearnedGoggles
+from gibson_path_following.images.goggles import LearnedGoggles
 from gibson_sim.errors import ConfigError
 from gibson_sim_learn.goggles.pairs import Pairs
 from gibson_sim_learn.goggles.settings import GogglesSettings

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_path_following.floor_plane import FloorPlane
-from gibson_path_following.path_model import PathModel
-from gibson_path_following.pose_filter import OffsetCalibration
+from gibson_path_following.localisation.pose_filter import OffsetCalibration
+from gibson_path_following.obstacles.floor_plane import FloorPlane
+from gibson_path_following.policies.path_model import PathModel
 from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, PAIR, Shard
 from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HFOV
 from gibson_sim_learn.path_following.sampling import Sampler

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gibson_path_following.arcs import ArcPlanner, ArcSettings, arc_points
 from gibson_path_following.errors import SettingError
+from gibson_path_following.obstacles.arcs import ArcPlanner, ArcSettings, arc_points
 from gibson_path_following.types import STOP
 
 F64 = NDArray[np.float64]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from gibson_path_following import backends
-from gibson_path_following.backends import BACKENDS, make_policy
 from gibson_path_following.errors import ModelError, SettingError
-from gibson_path_following.learned import LearnedPolicy
-from gibson_path_following.teach_repeat import TeachRepeatPolicy
+from gibson_path_following.policies import backends
+from gibson_path_following.policies.backends import BACKENDS, make_policy
+from gibson_path_following.policies.learned import LearnedPolicy
+from gibson_path_following.policies.teach_repeat import TeachRepeatPolicy
 from gibson_path_following.types import STOP, PathNode, RecordedPath
 from support.path_views import straight_path
 

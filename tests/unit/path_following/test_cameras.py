@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from gibson_path_following.cameras import Calibration, ViewAssembler, ViewCamera
 from gibson_path_following.errors import SettingError, ViewError
+from gibson_path_following.images.cameras import Calibration, ViewAssembler, ViewCamera
 
 
 def _columns(width: int, height: int) -> np.ndarray:

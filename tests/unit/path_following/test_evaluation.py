@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions, verdict
+from gibson_path_following.paths.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions, verdict
 from support.path_views import straight_path
 
 NODES = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.faults import CameraFaults, FaultSettings
-from gibson_path_following.follower import PathFollower
-from gibson_path_following.teach_repeat import TeachRepeatPolicy
+from gibson_path_following.policies.faults import CameraFaults, FaultSettings
+from gibson_path_following.policies.follower import PathFollower
+from gibson_path_following.policies.teach_repeat import TeachRepeatPolicy
 from gibson_path_following.types import View
 from support.path_views import pinhole_view, straight_path
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import ViewError
-from gibson_path_following.floor_plane import FloorPlane
+from gibson_path_following.obstacles.floor_plane import FloorPlane
 
 WIDTH, HEIGHT, HFOV, CAMERA = 96, 64, math.radians(100.0), 0.46
 FOCAL = WIDTH / 2.0 / math.tan(HFOV / 2.0)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.follower import FollowerSettings, PathFollower
-from gibson_path_following.lens import ZoomEstimate
-from gibson_path_following.localisation import Localiser, LocaliserSettings, NodeMatcher
-from gibson_path_following.motion_model import MotionModel
-from gibson_path_following.motions import CommandLog, Motion, motion_between, segments
-from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
+from gibson_path_following.images.lens import ZoomEstimate
+from gibson_path_following.localisation.localiser import Localiser, LocaliserSettings, NodeMatcher
+from gibson_path_following.localisation.motion_model import MotionModel
+from gibson_path_following.localisation.motions import CommandLog, Motion, motion_between, segments
+from gibson_path_following.policies.follower import FollowerSettings, PathFollower
+from gibson_path_following.policies.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
 from gibson_path_following.types import STOP, PathNode, Place, RecordedPath, Velocity, View
 from support.path_views import STEP_NS, fisheye_view, pinhole_view, straight_path
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_path_following.backends import make_policy
 from gibson_path_following.errors import ModelError, SettingError, ViewError
-from gibson_path_following.gnm_policy import Diffusion, GnmPolicy, GnmSettings, open_network, velocity_to
+from gibson_path_following.policies.backends import make_policy
+from gibson_path_following.policies.gnm_policy import Diffusion, GnmPolicy, GnmSettings, open_network, velocity_to
 from gibson_path_following.types import PathNode, Place, RecordedPath, Velocity
 from support import onnx_bytes as ox
 from support.path_views import fisheye_view, straight_path

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gibson_path_following.errors import ModelError, PathFollowingError, SettingError, ViewError
-from gibson_path_following.goggles import (
+from gibson_path_following.images.goggles import (
     ColourReference,
     GreyWorldGoggles,
     HistogramGoggles,
@@ -18,7 +18,7 @@ from gibson_path_following.goggles import (
     make_goggles,
 )
 from gibson_path_following.options import GogglesOptions
-from gibson_path_following.path_folder import save_path
+from gibson_path_following.paths.path_folder import save_path
 from support import onnx_bytes as ox
 from support.path_views import straight_path
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gibson_path_following.image_queue import ImageCounts, ImageQueue
+from gibson_path_following.images.image_queue import ImageCounts, ImageQueue
 
 
 def test_a_queue_of_one_holds_the_newest_image_and_counts_the_skipped_ones() -> None:

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.lattice import LatticePlanner, LatticeSettings, LocalPlan
+from gibson_path_following.obstacles.lattice import LatticePlanner, LatticeSettings, LocalPlan
 
 F64 = NDArray[np.float64]
 STATIONS = np.arange(21, dtype=np.float64) * 0.1

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from gibson_path_following.errors import ModelError, SettingError, ViewError
-from gibson_path_following.follower import PathFollower
-from gibson_path_following.learned import LearnedPolicy, LearnedSettings
-from gibson_path_following.occupancy import OccupancySettings
-from gibson_path_following.path_model import DEFAULT_MODEL, PathModel
-from gibson_path_following.pose_filter import OffsetCalibration, PoseFilter, node_poses, relative_pose
-from gibson_path_following.pose_tracking import PoseTrackingSettings
-from gibson_path_following.speed_limits import SpeedSettings
+from gibson_path_following.localisation.pose_filter import OffsetCalibration, PoseFilter, node_poses, relative_pose
+from gibson_path_following.localisation.pose_tracking import PoseTrackingSettings
+from gibson_path_following.obstacles.occupancy import OccupancySettings
+from gibson_path_following.obstacles.speed_limits import SpeedSettings
+from gibson_path_following.policies.follower import PathFollower
+from gibson_path_following.policies.learned import LearnedPolicy, LearnedSettings
+from gibson_path_following.policies.path_model import DEFAULT_MODEL, PathModel
 from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Step, Velocity, View
 from support.path_models import METADATA, path_model
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gibson_path_following.errors import SettingError, ViewError
-from gibson_path_following.matching import Matcher, MatchingSettings
-from gibson_path_following.preprocessing import PreprocessingSettings, Preprocessor, texture
+from gibson_path_following.images.preprocessing import PreprocessingSettings, Preprocessor, texture
+from gibson_path_following.localisation.matching import Matcher, MatchingSettings
 from support.path_views import HFOV, SIZE, fisheye_view, pinhole_view
 
 DEG = math.pi / 180.0

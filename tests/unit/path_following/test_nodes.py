@@ -36,7 +36,6 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Joy  # noqa: E40
 from std_msgs.msg import Bool, String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from gibson_path_following import path_folder  # noqa: E402
 from gibson_path_following.errors import ModelError, PathFolderError, PathFollowingError, SettingError, ViewError  # noqa: E402
 from gibson_path_following.nodes import camera_input, conversions, running  # noqa: E402
 from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
@@ -47,7 +46,8 @@ from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
 from gibson_path_following.nodes.path_recorder import PathRecorderNode  # noqa: E402
 from gibson_path_following.nodes.running import run_node  # noqa: E402
 from gibson_path_following.options import CameraOptions, Options  # noqa: E402
-from gibson_path_following.path_folder import load_path, save_path  # noqa: E402
+from gibson_path_following.paths import path_folder  # noqa: E402
+from gibson_path_following.paths.path_folder import load_path, save_path  # noqa: E402
 from gibson_path_following.types import PathNode, RecordedPath, Velocity  # noqa: E402
 
 pytestmark = pytest.mark.ros

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.occupancy import OccupancyGrid, OccupancySettings, _distance_to_zero
+from gibson_path_following.obstacles.occupancy import OccupancyGrid, OccupancySettings, _distance_to_zero
 
 F64 = NDArray[np.float64]
 BEARINGS = np.arctan((1.0 - (np.arange(24) + 0.5) / 12.0) * math.tan(math.radians(50.0)))

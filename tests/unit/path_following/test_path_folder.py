@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_path_following import path_folder
 from gibson_path_following.errors import PathFolderError
-from gibson_path_following.path_folder import (
+from gibson_path_following.paths import path_folder
+from gibson_path_following.paths.path_folder import (
     PathWriter,
     check_folder,
     check_path,
@@ -133,7 +133,7 @@ def test_a_folder_has_one_writer_at_a_time(tmp_path: Path) -> None:
 
 KILLED = """
 import os, signal, sys
-from gibson_path_following import path_folder
+from gibson_path_following.paths import path_folder
 from support.path_views import straight_path
 
 name, done = sys.argv[1], getattr(path_folder, sys.argv[1])

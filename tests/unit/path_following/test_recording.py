@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from gibson_path_following import recording
-from gibson_path_following.path_folder import check_path
-from gibson_path_following.recording import PathRecorder, RecorderSettings
-from gibson_path_following.stamp_filter import StampFilter
+from gibson_path_following.paths import recording
+from gibson_path_following.paths.path_folder import check_path
+from gibson_path_following.paths.recording import PathRecorder, RecorderSettings
+from gibson_path_following.paths.stamp_filter import StampFilter
 from gibson_path_following.types import STOP, RecordedPath, Velocity
 
 NS = 1_000_000_000

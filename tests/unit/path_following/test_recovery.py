@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.recovery import Recovery, RecoverySettings
+from gibson_path_following.obstacles.recovery import Recovery, RecoverySettings
 from gibson_path_following.types import STOP, Velocity
 
 SETTINGS = RecoverySettings(wait_time=1.0, backup_time=1.0, backup_speed=0.1, spin_time=1.0, spin_rate=0.5, max_attempts=1)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from gibson_path_following.localisation.view_history import ViewHistory
 from gibson_path_following.types import Step
-from gibson_path_following.view_history import ViewHistory
 
 
 def test_the_earlier_view_is_the_one_from_about_a_quarter_of_a_metre_before() -> None:

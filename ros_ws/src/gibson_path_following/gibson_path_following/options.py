@@ -11,7 +11,7 @@ from dataclasses import Field, dataclass, field, fields
 from typing import Any
 
 from gibson_path_following.errors import SettingError, quoted
-from gibson_path_following.goggles import MODES
+from gibson_path_following.images.goggles import MODES
 from gibson_path_following.types import IMAGES_OF
 
 PINHOLE_HFOV_DEG = (1.0, 179.0)

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from gibson_path_following.backends import make_policy
 from gibson_path_following.errors import PathFollowingError
-from gibson_path_following.follower import FollowerSettings, PathFollower
-from gibson_path_following.goggles import DEFAULT_MODEL as DEFAULT_GOGGLES, ColourReference, Goggles, make_goggles
-from gibson_path_following.path_model import DEFAULT_MODEL
+from gibson_path_following.images.goggles import DEFAULT_MODEL as DEFAULT_GOGGLES, ColourReference, Goggles, make_goggles
+from gibson_path_following.policies.backends import make_policy
+from gibson_path_following.policies.follower import FollowerSettings, PathFollower
+from gibson_path_following.policies.path_model import DEFAULT_MODEL
 from gibson_path_following.types import Place, Velocity
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.jobs.units import Context

@@ -1,1 +1,1 @@
-"""Goggles: a network that adapts a camera's images to the simulator's appearance. ``gibson_path_following.goggles`` runs it on a robot."""
+"""Goggles: a network that adapts a camera's images to the simulator's appearance. ``gibson_path_following.images.goggles`` runs it on a robot."""

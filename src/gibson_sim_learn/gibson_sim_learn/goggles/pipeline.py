@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gibson_path_following.goggles import (
+from gibson_path_following.images.goggles import (
     ColourReference,
     Goggles,
     GreyWorldGoggles,

@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.evaluation import Outcome, TracePoint, evaluate
-from gibson_path_following.follower import PathFollower
+from gibson_path_following.paths.evaluation import Outcome, TracePoint, evaluate
+from gibson_path_following.policies.follower import PathFollower
 from gibson_path_following.types import STOP, PathNode, Place, RecordedPath, Velocity, View
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy, yaw_from_quat

@@ -2,7 +2,7 @@
 
 Inputs: ``present`` (1, 64, 96, 3) and ``recorded`` (K, 64, 96, 3), uint8, RGB; with a network of free distances also ``earlier``
 (1, 64, 96, 3), an earlier image warped onto the present one, black where unknown. Outputs: ``pose`` (K, 3), ``scale`` (K, 3),
-``match`` (K,), ``hit`` (24, bins + 1), as ``gibson_path_following.path_model.Prediction`` describes them.
+``match`` (K,), ``hit`` (24, bins + 1), as ``gibson_path_following.policies.path_model.Prediction`` describes them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from gibson_path_following.pose_filter import OffsetCalibration
+from gibson_path_following.localisation.pose_filter import OffsetCalibration
 from gibson_sim.durations import duration_text
 from gibson_sim.writing import write_file
 from gibson_sim_learn.path_following.data import FREE_EDGES

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gibson_path_following.follower import PathFollower
-from gibson_path_following.learned import LearnedPolicy
-from gibson_path_following.localisation import Localiser, NodeMatcher
-from gibson_path_following.path_model import PathModel
+from gibson_path_following.localisation.localiser import Localiser, NodeMatcher
+from gibson_path_following.policies.follower import PathFollower
+from gibson_path_following.policies.learned import LearnedPolicy
+from gibson_path_following.policies.path_model import PathModel
 from gibson_path_following.types import RecordedPath
 from gibson_sim_learn.path_following.dagger import drive_all
 from gibson_sim_learn.path_following.data import Shard, World, draw_shard, make_data

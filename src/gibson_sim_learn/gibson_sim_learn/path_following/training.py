@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from gibson_path_following.pose_filter import OffsetCalibration, lateral_offset
+from gibson_path_following.localisation.pose_filter import OffsetCalibration, lateral_offset
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.distances.training import miss_rates
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork

@@ -9,12 +9,12 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from gibson_path_following.faults import CameraFaults, FaultSettings
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.image_watch import ImageWatch
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import FaultOptions
+from gibson_path_following.policies.faults import CameraFaults, FaultSettings
 from gibson_path_following.types import STOP
 
 _TOPIC = "camera/image_raw"

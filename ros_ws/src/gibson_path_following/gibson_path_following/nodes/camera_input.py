@@ -11,12 +11,12 @@ from typing import Any
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 
-from gibson_path_following.cameras import Calibration, ViewAssembler, ViewCamera
 from gibson_path_following.errors import PathFollowingError, SettingError
+from gibson_path_following.images.cameras import Calibration, ViewAssembler, ViewCamera
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.image_watch import ImageWatch
 from gibson_path_following.options import PINHOLE_HFOV_DEG, CameraOptions, check_camera
-from gibson_path_following.stamp_filter import StampFilter, outlier_line
+from gibson_path_following.paths.stamp_filter import StampFilter, outlier_line
 from gibson_path_following.types import IMAGES_OF, CameraKind, Image, View
 
 _QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)

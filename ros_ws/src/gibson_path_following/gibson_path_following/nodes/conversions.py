@@ -12,9 +12,9 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import CompressedImage, Image as ImageMsg
 
-from gibson_path_following.cameras import Calibration
 from gibson_path_following.errors import ViewError, quoted
-from gibson_path_following.image_header import deep_png_encoding, image_size
+from gibson_path_following.images.cameras import Calibration
+from gibson_path_following.images.image_header import deep_png_encoding, image_size
 from gibson_path_following.types import Image, Velocity
 
 NS_PER_S = 1_000_000_000

@@ -12,8 +12,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 
 from gibson_path_following.errors import PathFollowingError, SettingError, quoted
-from gibson_path_following.goggles import load_reference, make_goggles
-from gibson_path_following.image_queue import ImageCounts, ImageQueue
+from gibson_path_following.images.goggles import load_reference, make_goggles
+from gibson_path_following.images.image_queue import ImageCounts, ImageQueue
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.camera_infos import CameraInfos
 from gibson_path_following.nodes.image_watch import ImageWatch

@@ -17,12 +17,12 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from gibson_path_following.errors import PathFollowingError, SettingError, quoted
-from gibson_path_following.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions, verdict
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import EvaluatorOptions
-from gibson_path_following.path_folder import load_path
+from gibson_path_following.paths.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions, verdict
+from gibson_path_following.paths.path_folder import load_path
 
 _QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 _BACK_NS = 1_000_000_000

@@ -10,14 +10,14 @@ from rclpy.node import Node
 from std_msgs.msg import Bool, Float32
 
 from gibson_path_following.errors import PathFollowingError
-from gibson_path_following.localisation import Localiser
-from gibson_path_following.motions import CommandLog, Motion
+from gibson_path_following.localisation.localiser import Localiser
+from gibson_path_following.localisation.motions import CommandLog, Motion
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import LocaliserOptions, check_start
-from gibson_path_following.path_folder import load_path
+from gibson_path_following.paths.path_folder import load_path
 from gibson_path_following.types import Place, View
 
 

@@ -12,16 +12,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Joy
 from std_msgs.msg import String
 
-from gibson_path_following.backends import make_policy
 from gibson_path_following.errors import PathFollowingError, quoted
-from gibson_path_following.follower import FollowerSettings, PathFollower
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.path_localiser import PlacePublisher
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import PolicyOptions, check_camera, check_start
-from gibson_path_following.path_folder import load_path
+from gibson_path_following.paths.path_folder import load_path
+from gibson_path_following.policies.backends import make_policy
+from gibson_path_following.policies.follower import FollowerSettings, PathFollower
 from gibson_path_following.types import STOP, RecordedPath, Velocity, View
 
 JOY_TIMEOUT_S = 0.5

@@ -20,8 +20,8 @@ from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import RecorderOptions
-from gibson_path_following.path_folder import MAX_NODES, PathWriter, check_path, expanded, max_nodes, new_folder
-from gibson_path_following.recording import PathRecorder, RecorderSettings
+from gibson_path_following.paths.path_folder import MAX_NODES, PathWriter, check_path, expanded, max_nodes, new_folder
+from gibson_path_following.paths.recording import PathRecorder, RecorderSettings
 from gibson_path_following.types import CameraKind, RecordedPath, View
 
 

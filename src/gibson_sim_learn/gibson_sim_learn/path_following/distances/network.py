@@ -2,7 +2,7 @@
 
 An encoder with a feature pyramid of four levels, merged from coarse to fine: a few pixels show where an obstacle meets the floor, much of the image
 shows what is floor and what is obstacle. One column of features is one bearing. The earlier image is warped onto the present one by the floor
-plane (``gibson_path_following.floor_plane``), so that obstacles differ between them. Needs PyTorch.
+plane (``gibson_path_following.obstacles.floor_plane``), so that obstacles differ between them. Needs PyTorch.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gibson_path_following.floor_plane import FloorPlane
+from gibson_path_following.obstacles.floor_plane import FloorPlane
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH

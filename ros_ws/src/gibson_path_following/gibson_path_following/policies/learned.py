@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.arcs import ArcPlanner, ArcSettings
 from gibson_path_following.errors import ViewError, check_ranges
-from gibson_path_following.lattice import LatticePlanner, LatticeSettings, LocalPlan
-from gibson_path_following.localisation import NodeMatcher
-from gibson_path_following.occupancy import OccupancyGrid, OccupancySettings
-from gibson_path_following.path_geometry import METRES_PER_RADIAN
-from gibson_path_following.path_model import DEFAULT_MODEL, PathModel, Prediction
-from gibson_path_following.pose_filter import pose_after_arc, relative_pose
-from gibson_path_following.pose_tracking import PoseTracker, PoseTrackingSettings
-from gibson_path_following.recovery import Recovery, RecoverySettings
-from gibson_path_following.speed_limits import SpeedLimiter, SpeedSettings
+from gibson_path_following.localisation.localiser import NodeMatcher
+from gibson_path_following.localisation.pose_filter import pose_after_arc, relative_pose
+from gibson_path_following.localisation.pose_tracking import PoseTracker, PoseTrackingSettings
+from gibson_path_following.obstacles.arcs import ArcPlanner, ArcSettings
+from gibson_path_following.obstacles.lattice import LatticePlanner, LatticeSettings, LocalPlan
+from gibson_path_following.obstacles.occupancy import OccupancyGrid, OccupancySettings
+from gibson_path_following.obstacles.recovery import Recovery, RecoverySettings
+from gibson_path_following.obstacles.speed_limits import SpeedLimiter, SpeedSettings
+from gibson_path_following.paths.path_geometry import METRES_PER_RADIAN
+from gibson_path_following.policies.path_model import DEFAULT_MODEL, PathModel, Prediction
 from gibson_path_following.types import STOP, Place, RecordedPath, Step, Velocity, View
 
 F64 = NDArray[np.float64]

@@ -31,8 +31,8 @@ import numpy as np
 import yaml
 
 from gibson_path_following.errors import PathFolderError, quoted
-from gibson_path_following.folder_lock import FolderLock
-from gibson_path_following.image_header import image_size
+from gibson_path_following.images.image_header import image_size
+from gibson_path_following.paths.folder_lock import FolderLock
 from gibson_path_following.types import IMAGES_OF, CameraKind, Image, PathNode, RecordedPath, Velocity
 
 _log = logging.getLogger(__name__)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import check_ranges
-from gibson_path_following.localisation import NodeMatcher
-from gibson_path_following.motions import NS_PER_S, Motion, segments
+from gibson_path_following.localisation.localiser import NodeMatcher
+from gibson_path_following.localisation.motions import NS_PER_S, Motion, segments
 from gibson_path_following.types import Place, RecordedPath, Velocity, View
 
 _FULL_WEIGHT_SCORE = 0.17

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import ModelError
-from gibson_path_following.floor_plane import FloorPlane
+from gibson_path_following.localisation.pose_filter import OffsetCalibration
+from gibson_path_following.obstacles.floor_plane import FloorPlane
 from gibson_path_following.onnx_files import open_session, run
-from gibson_path_following.pose_filter import OffsetCalibration
 from gibson_path_following.types import Image
 
 F64 = NDArray[np.float64]
-DEFAULT_MODEL = Path(__file__).with_name("models") / "path_following.onnx"
+DEFAULT_MODEL = Path(__file__).parents[1] / "models" / "path_following.onnx"
 """ONNX file of the network in the package."""
 _INPUTS = ("present", "recorded", "earlier")
 """Inputs of the network; the last one is optional."""

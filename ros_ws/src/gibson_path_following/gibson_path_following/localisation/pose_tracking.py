@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError, check_ranges, quoted
-from gibson_path_following.localisation import NodeMatcher
-from gibson_path_following.motions import NS_PER_S
-from gibson_path_following.path_geometry import PathGeometry
-from gibson_path_following.path_model import PathModel, Prediction
-from gibson_path_following.pose_filter import PoseFilter, node_poses, pose_after_arc
+from gibson_path_following.localisation.localiser import NodeMatcher
+from gibson_path_following.localisation.motions import NS_PER_S
+from gibson_path_following.localisation.pose_filter import PoseFilter, node_poses, pose_after_arc
+from gibson_path_following.localisation.view_history import ViewHistory
+from gibson_path_following.paths.path_geometry import PathGeometry
+from gibson_path_following.policies.path_model import PathModel, Prediction
 from gibson_path_following.types import Place, RecordedPath, View
-from gibson_path_following.view_history import ViewHistory
 
 F64 = NDArray[np.float64]
 _STATION_DEVIATION = 0.12

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from gibson_path_following.motions import NS_PER_S
+from gibson_path_following.localisation.motions import NS_PER_S
 
 _STEP_NS = 1_000_000_000
 """Step of stamps, back or ahead, that needs the next stamp to be believed, ns."""

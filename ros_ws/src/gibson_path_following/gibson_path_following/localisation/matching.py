@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.preprocessing import F32, Preprocessor
+from gibson_path_following.images.preprocessing import F32, Preprocessor
 
 F64 = NDArray[np.float64]
 _Number = TypeVar("_Number", np.float32, np.complex64)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.motions import NS_PER_S
+from gibson_path_following.localisation.motions import NS_PER_S
 from gibson_path_following.types import RecordedPath, Step
 
 F64 = NDArray[np.float64]

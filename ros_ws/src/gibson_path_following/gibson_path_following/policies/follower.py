@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError, check_ranges
-from gibson_path_following.localisation import Localiser
-from gibson_path_following.motion_model import MotionModel
-from gibson_path_following.motions import NS_PER_S, CommandLog, Motion
-from gibson_path_following.preprocessing import texture
+from gibson_path_following.images.preprocessing import texture
+from gibson_path_following.localisation.localiser import Localiser
+from gibson_path_following.localisation.motion_model import MotionModel
+from gibson_path_following.localisation.motions import NS_PER_S, CommandLog, Motion
 from gibson_path_following.types import STOP, Place, Policy, RecordedPath, SelfLocalisingPolicy, Step, Velocity, View
 
 State = Literal["waiting", "localising", "following", "lost", "searching", "stale", "finished"]

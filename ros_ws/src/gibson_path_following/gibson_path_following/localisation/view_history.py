@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.pose_filter import pose_after_arc, relative_pose
+from gibson_path_following.localisation.pose_filter import pose_after_arc, relative_pose
 from gibson_path_following.types import Image, Step
 
 F64 = NDArray[np.float64]

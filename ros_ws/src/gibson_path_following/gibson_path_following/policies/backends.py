@@ -6,9 +6,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from gibson_path_following.errors import SettingError, quoted
-from gibson_path_following.localisation import Localiser, NodeMatcher
-from gibson_path_following.motions import has_motion
-from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
+from gibson_path_following.localisation.localiser import Localiser, NodeMatcher
+from gibson_path_following.localisation.motions import has_motion
+from gibson_path_following.policies.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
 from gibson_path_following.types import Policy, RecordedPath
 
 BACKENDS = ("learned", "learned:FILE", "teach_repeat", "onnx:FILE")
@@ -46,14 +46,14 @@ def make_policy(
                 f"backend {backend} needs onnxruntime, which is not installed: pip install 'gibson_path_following[onnx]', or set backend to "
                 "teach_repeat, which needs no network and drives around no obstacle"
             )
-        from gibson_path_following.arcs import ArcSettings
-        from gibson_path_following.learned import LearnedPolicy, LearnedSettings
-        from gibson_path_following.path_model import DEFAULT_MODEL
+        from gibson_path_following.obstacles.arcs import ArcSettings
+        from gibson_path_following.policies.learned import LearnedPolicy, LearnedSettings
+        from gibson_path_following.policies.path_model import DEFAULT_MODEL
 
         settings = LearnedSettings(camera_ahead=camera_ahead, arcs=ArcSettings(max_linear=max_linear, max_angular=max_angular))
         return LearnedPolicy(path, Path(file) if file else DEFAULT_MODEL, settings, nodes), localiser
     if name == "onnx" and file:
-        from gibson_path_following.gnm_policy import GnmPolicy, GnmSettings
+        from gibson_path_following.policies.gnm_policy import GnmPolicy, GnmSettings
 
         return GnmPolicy(path, Path(file), GnmSettings(max_linear=max_linear, max_angular=max_angular)), localiser
     raise SettingError(f"backend is {quoted(backend)}, must be {', '.join(BACKENDS[:-1])} or {BACKENDS[-1]}")

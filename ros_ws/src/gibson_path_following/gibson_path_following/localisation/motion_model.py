@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.motions import NS_PER_S, CommandLog
+from gibson_path_following.localisation.motions import NS_PER_S, CommandLog
 from gibson_path_following.types import Step
 
 F64 = NDArray[np.float64]

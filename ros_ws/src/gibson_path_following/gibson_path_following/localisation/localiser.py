@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import check_ranges
-from gibson_path_following.lens import ZoomEstimate
-from gibson_path_following.matching import Matcher, MatchingSettings
-from gibson_path_following.motions import Motion, has_motion, segments
-from gibson_path_following.preprocessing import PreprocessingSettings, Preprocessor
+from gibson_path_following.images.lens import ZoomEstimate
+from gibson_path_following.images.preprocessing import PreprocessingSettings, Preprocessor
+from gibson_path_following.localisation.matching import Matcher, MatchingSettings
+from gibson_path_following.localisation.motions import Motion, has_motion, segments
 from gibson_path_following.types import Place, RecordedPath, View
 
 F64 = NDArray[np.float64]

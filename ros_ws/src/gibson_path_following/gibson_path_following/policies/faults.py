@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from gibson_path_following.errors import check_ranges
-from gibson_path_following.motions import NS_PER_S
+from gibson_path_following.localisation.motions import NS_PER_S
 
 _Image = TypeVar("_Image")
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.arcs import ArcSettings
 from gibson_path_following.errors import SettingError, check_ranges, quoted
-from gibson_path_following.lattice import LatticeSettings, LocalPlan
-from gibson_path_following.motions import Motion, segments
-from gibson_path_following.occupancy import OccupancyGrid
-from gibson_path_following.path_geometry import PathGeometry
-from gibson_path_following.path_model import PathModel, Prediction
+from gibson_path_following.localisation.motions import Motion, segments
+from gibson_path_following.obstacles.arcs import ArcSettings
+from gibson_path_following.obstacles.lattice import LatticeSettings, LocalPlan
+from gibson_path_following.obstacles.occupancy import OccupancyGrid
+from gibson_path_following.paths.path_geometry import PathGeometry
+from gibson_path_following.policies.path_model import PathModel, Prediction
 from gibson_path_following.types import STOP, RecordedPath, Velocity
 
 F64 = NDArray[np.float64]

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from gibson_path_following.errors import check_ranges
-from gibson_path_following.motions import NS_PER_S, motion_between
-from gibson_path_following.path_folder import MAX_NODES, MAX_VALUE, MAX_VELOCITIES
-from gibson_path_following.stamp_filter import StampFilter, outlier_line
+from gibson_path_following.localisation.motions import NS_PER_S, motion_between
+from gibson_path_following.paths.path_folder import MAX_NODES, MAX_VALUE, MAX_VELOCITIES
+from gibson_path_following.paths.stamp_filter import StampFilter, outlier_line
 from gibson_path_following.types import STOP, CameraKind, PathNode, RecordedPath, Velocity, View
 
 _STANDING = 0.01

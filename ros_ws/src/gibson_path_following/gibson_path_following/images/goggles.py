@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from gibson_path_following.errors import ModelError, SettingError, ViewError, quoted
 from gibson_path_following.onnx_files import open_session, run
-from gibson_path_following.path_folder import load_path
+from gibson_path_following.paths.path_folder import load_path
 from gibson_path_following.types import Image, RecordedPath
 
 F64 = NDArray[np.float64]
 MODES = ("learned", "histogram", "grey_world")
 """A network; histogram matching to a reference; grey-world white balance with the brightness of a reference."""
-DEFAULT_MODEL = Path(__file__).with_name("models") / "goggles.onnx"
+DEFAULT_MODEL = Path(__file__).parents[1] / "models" / "goggles.onnx"
 """ONNX file of the network in the package."""
-SIMULATOR_LOOK = Path(__file__).with_name("models") / "simulator_look.csv"
+SIMULATOR_LOOK = Path(__file__).parents[1] / "models" / "simulator_look.csv"
 """Colour reference of the simulator: quantiles of its images of the training scenes."""
 SMALL = (96, 64)
 """Width and height of the input ``small``, a downscaled copy of the image, pixels."""

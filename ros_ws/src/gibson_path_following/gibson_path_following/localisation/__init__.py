@@ -1,0 +1,1 @@
+"""Where the robot is along a path, from images and odometry."""

@@ -1,0 +1,1 @@
+"""What stands on the path: free space, ways around, speeds."""

@@ -1,0 +1,1 @@
+"""Path folders: how they are recorded, read and measured."""

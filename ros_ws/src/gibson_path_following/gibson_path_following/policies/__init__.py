@@ -1,0 +1,1 @@
+"""Policies: velocity commands that follow a path."""
