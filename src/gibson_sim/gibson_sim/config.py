@@ -115,7 +115,7 @@ class PhysicsConfig:
     )
     grasp_distance: float = setting(
         0.2,
-        "assisted: largest distance between tool and surface at which a gripper takes hold",
+        "assisted: largest distance between tool and surface at which a gripper grasps",
         unit="m",
         minimum=0.001,
         maximum=10.0,

@@ -275,8 +275,8 @@ def kind_of(trace: Trace, *, success: bool, arrived: bool, collisions: int) -> s
     if collisions and trace.touched:
         layout, first = trace.layout, trace.touched[0]
         if layout is not None and first in layout.obstacles:
-            return "hit what stood on the path"
-        return "hit a moved thing" if layout is not None and first in layout.moved else "hit the scene"
+            return "hit an obstacle"
+        return "hit a moved object" if layout is not None and first in layout.moved else "hit the scene"
     state = trace.ticks[-1].state
     if arrived:
         return "touched something"
