@@ -315,6 +315,26 @@ def test_an_edge_all_around_is_where_it_should_be_and_has_no_step(name):
     assert abs(error.mean()) < 0.005
 
 
+@pytest.mark.parametrize("size", [128, 620])
+def test_two_half_spheres_meet_at_their_rims(size: int) -> None:
+    front = replace(CAMERAS["fisheye 180"], width=size, height=size, outputs=("position", "instance"))
+    T = matrix_from_pose(front.pose)
+    T[:3, :3] = T[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
+    back = replace(front, name="back", pose=pose_from_matrix(T))
+    with Renderer(scene(*(_labelled(k) for k in range(len(_BOXES))))) as renderer:
+        ahead, behind = renderer.render(state(), [front, back])
+    points = rays(front)
+    off_axis = np.degrees(np.arctan2(np.hypot(points[..., 0], points[..., 1]), points[..., 2]))
+    v, u = np.nonzero((off_axis > 90.0 - 180.0 / size) & (off_axis < 90.0))  # the last pixel of each radius
+    assert len(v) > 2 * size
+    way = points[v, u] * [1.0, 1.0, -1.0]  # as far behind the rim as it is ahead of it
+    column, row = np.rint(project(way * [-1.0, 1.0, -1.0], back)[0]).astype(int).T
+    same = ahead.instance[v, u] == behind.instance[row, column]
+    assert same.mean() > 0.95, "but for edges that cross the rim"
+    apart = np.linalg.norm(ahead.position[v, u] - behind.position[row, column], axis=1)[same & (ahead.instance[v, u] > 0)]
+    assert np.median(apart) < 4.0 * 2.0 * math.pi / size, "two pixels of a wall 4 m away"
+
+
 @pytest.mark.parametrize("name", CAMERAS)
 def test_a_small_mark_is_where_the_formula_puts_it(name):
     camera = replace(_twice(CAMERAS[name]), outputs=("instance",))

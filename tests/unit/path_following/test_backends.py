@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from gibson_path_following.errors import ModelError, SettingError
@@ -9,7 +10,7 @@ from gibson_path_following.policies import backends
 from gibson_path_following.policies.backends import BACKENDS, make_policy
 from gibson_path_following.policies.learned import LearnedPolicy
 from gibson_path_following.policies.teach_repeat import TeachRepeatPolicy
-from gibson_path_following.types import STOP, PathNode, RecordedPath
+from gibson_path_following.types import STOP, PathNode, Place, RecordedPath
 from support.path_views import straight_path
 
 
@@ -38,6 +39,22 @@ def test_other_names_are_refused_with_those_that_there_are(name: str) -> None:
     with pytest.raises(SettingError, match="must be learned, learned:FILE, teach_repeat or onnx:FILE"):
         make_policy(name, straight_path())
     assert name not in BACKENDS
+
+
+@pytest.mark.parametrize("backend", ["teach_repeat", "learned"])
+def test_commands_are_bounded_and_finite_whatever_the_images_show(backend: str) -> None:
+    rng = np.random.default_rng(0)
+    for path in (straight_path(), straight_path(angular=0.5)):
+        policy, localiser = make_policy(backend, path, 0.3, 0.6)
+        shape, sent = path.nodes[0].view[0].shape, []
+        for k in range(25):
+            noise = rng.integers(0, 256, shape, np.uint8) if k % 5 else np.full(shape, 255 * (k % 2), np.uint8)
+            place = localiser.update((noise,))
+            # Also where a localiser is sure of a wrong place.
+            sent.append(
+                policy.act((noise,), k * 200_000_000, place if k % 2 else Place(float(rng.uniform(0.0, 11.0)), 1.0, False))
+            )
+        assert all(abs(v.linear) <= 0.3 and abs(v.angular) <= 0.6 for v in sent)
 
 
 def test_the_learned_policy_knows_where_its_camera_is() -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gibson_path_following.paths import recording
-from gibson_path_following.paths.path_folder import check_path
+from gibson_path_following.paths.path_folder import check_path, save_path
 from gibson_path_following.paths.recording import PathRecorder, RecorderSettings
 from gibson_path_following.paths.stamp_filter import StampFilter
 from gibson_path_following.types import STOP, RecordedPath, Velocity
@@ -47,6 +48,22 @@ def test_a_node_stands_every_spacing(odometry: bool) -> None:
     assert (path.nodes[5].pose is None) == (not odometry)
     assert not odometry or path.nodes[5].pose == pytest.approx((1.0, 0.0, 0.0))
     check_path(path)
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_the_same_messages_make_the_same_path_to_the_bit(tmp_path: Path, odometry: bool) -> None:
+    written = []
+    for folder in (tmp_path / "one", tmp_path / "two"):
+        recorder = PathRecorder("pinhole", 1.5, RecorderSettings(uses_odometry=odometry))
+        rng = np.random.default_rng(0)
+        for k in range(60):
+            recorder.add_command(NS + k * TICK, Velocity(*rng.uniform(0.0, 0.5, 2)))
+            if odometry:
+                recorder.add_odometry(NS + k * TICK, (0.03 * k, *rng.uniform(0.0, 0.01, 2)))
+            recorder.add_view(NS + k * TICK, (rng.integers(0, 256, (16, 24, 3), np.uint8),))
+        save_path(recorder.finish(), folder)
+        written.append({str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*.*")})
+    assert written[0] == written[1] and len(written[0]) > 5
 
 
 def test_a_turn_in_place_makes_nodes_too() -> None:
