@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -174,6 +175,9 @@ def test_a_cell_has_rate_interval_means_and_kinds() -> None:
     assert cell.collisions_per_metre == pytest.approx(2 / 20.0)
     assert cell.kinds == {"hit the scene": 1, "lost": 1}
     assert cell.paths == ((2, 2), (0, 2))
+    assert math.isnan(cell.near_places), "a blind driver estimates none"
+    (cell,) = cells_of([replace(result("learned", k), places=10 * (k + 1), near_places=9) for k in range(2)])
+    assert cell.near_places == pytest.approx(18 / 30)
 
 
 def test_differences_are_of_pairs_with_the_same_seed() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_path_following.types import Place, Velocity
+from gibson_path_following.types import STOP, Place, Velocity
 from gibson_sim.errors import SceneError
 from gibson_sim_learn.path_following.cases import PathCase, draw_cases, greatest_turn
 from gibson_sim_learn.path_following.clutter import random_object
@@ -22,6 +22,8 @@ from gibson_sim_learn.path_following.drives import (
     PathSite,
     RandomDriver,
     Recording,
+    Tick,
+    Trace,
     follow,
     oracle_for,
     record,
@@ -132,6 +134,18 @@ def test_who_stands_still_ends_the_drive(site: PathSite, recording: Recording) -
     trace = follow(site, recording, steady(0.0), Conditions(), seed=0)
     assert trace.ended == "standing"
     assert trace.outcome(recording).coverage < 0.2
+
+
+def test_places_are_compared_with_the_true_ones_while_they_are_followed(recording: Recording) -> None:
+    middle = len(recording.poses) // 2
+
+    def tick(node: int, index: float, state: str = "following") -> Tick:
+        return Tick(0, recording.poses[node], STOP, False, index, state)
+
+    ticks = [tick(k, k + 0.3) for k in range(middle)]
+    ticks += [tick(middle, 0.0, "lost"), tick(middle, math.nan), tick(middle, middle - 2.0)]
+    errors = Trace(tuple(ticks), "time").place_errors(recording)
+    np.testing.assert_allclose(errors, [0.3] * middle + [2.0], atol=0.02)
 
 
 def test_random_drives_are_random_by_their_seed(site: PathSite, recording: Recording) -> None:

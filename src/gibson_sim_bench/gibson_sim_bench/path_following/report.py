@@ -34,6 +34,7 @@ _HEAD = (
     "collisions/m",
     "SPL",
     "deviation m",
+    "place within a node",
     "s of CPU",
 )
 _STYLE = (
@@ -126,6 +127,7 @@ def _cell(cell: Cell) -> tuple[str, ...]:
         f"{cell.collisions_per_metre:.3f}",
         f"{cell.spl:.2f}",
         f"{cell.deviation:.3f}",
+        "-" if math.isnan(cell.near_places) else f"{cell.near_places:.3f}",
         f"{cell.seconds:.1f}",
     )
 
@@ -141,7 +143,7 @@ def _paper(found: Table2) -> list[tuple[str, ...]]:
             f"{PAPER[length][0]:.2f}",
             "-",
             f"{PAPER[length][1]:.3f}",
-            *4 * ("-",),
+            *5 * ("-",),
         )
         for length in lengths
         if length in PAPER

@@ -81,6 +81,10 @@ class RunResult:
     """Number of obstacles on the path."""
     seconds: float = 0.0
     """Processor time of the run, seconds."""
+    places: int = 0
+    """Number of images in which the driver followed the path by an estimated place."""
+    near_places: int = 0
+    """Number of them whose place is at most one node from the true one."""
 
     def as_line(self) -> str:
         """Returns the result as a line of JSON."""
@@ -216,7 +220,7 @@ class Runner:
                 key, f"not run: {error}", False, False, 0.0, 0, 0.0, 0.0, 0.0, case.length, 0.0, 0.0, "not run", "",
                 seconds=time.process_time() - began,
             )  # fmt: skip
-        outcome = trace.outcome(self.recording(case))
+        outcome, errors = trace.outcome(self.recording(case)), trace.place_errors(self.recording(case))
         layout = trace.layout
         assert layout is not None
         return RunResult(
@@ -238,6 +242,8 @@ class Runner:
             moved=len(layout.moved),
             obstacles=len(layout.obstacles),
             seconds=round(time.process_time() - began, 3),
+            places=len(errors),
+            near_places=int(np.count_nonzero(errors <= 1.0)),
         )
 
     def _driver(

@@ -47,6 +47,8 @@ class Cell:
     """Number of runs by kind of failure."""
     paths: tuple[tuple[int, int], ...] = ()
     """Successes and runs of each path."""
+    near_places: float = math.nan
+    """Share of the estimated places that are at most one node from the true ones; NaN = there are none."""
 
     @property
     def rate(self) -> float:
@@ -125,6 +127,7 @@ def _cell(key: tuple[float, str, str], found: Sequence[RunResult]) -> Cell:
     for result in found:
         paths.setdefault((result.key.scene, result.key.path), []).append(result.success)
     driven = math.fsum(result.travelled for result in found)
+    places = sum(result.places for result in found)
     kinds = Counter(result.kind for result in found if result.kind != SUCCESS)
     return Cell(
         *key,
@@ -139,6 +142,7 @@ def _cell(key: tuple[float, str, str], found: Sequence[RunResult]) -> Cell:
         seconds=_mean([result.seconds for result in found]),
         kinds=dict(sorted(kinds.items())),
         paths=tuple((sum(wins), len(wins)) for _, wins in sorted(paths.items())),
+        near_places=sum(result.near_places for result in found) / places if places else math.nan,
     )
 
 

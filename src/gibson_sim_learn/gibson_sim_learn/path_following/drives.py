@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.paths.evaluation import Outcome, TracePoint, evaluate
+from gibson_path_following.paths.path_geometry import PathGeometry
 from gibson_path_following.policies.follower import PathFollower
 from gibson_path_following.types import STOP, PathNode, Place, RecordedPath, Velocity, View
 from gibson_sim.errors import ConfigError, SceneError
@@ -99,7 +100,7 @@ class Tick:
     in_collision: bool
     """Whether the robot collided with anything but the floor since the previous tick."""
     index: float
-    """Estimated place on the path, node index with a fraction; NaN = no estimate."""
+    """Estimated place on the path, node index with a fraction; NaN = none, or lost."""
     state: str
     """State of the driver."""
 
@@ -121,6 +122,21 @@ class Trace:
         """Returns the metrics of the drive."""
         points = [TracePoint(tick.stamp_ns, *tick.pose, tick.in_collision) for tick in self.ticks]
         return evaluate([(x, y) for x, y, _ in recording.poses], points)
+
+    def place_errors(self, recording: Recording) -> F64:
+        """Returns the errors of the estimated places, (K,), in nodes, of the ticks in which the driver followed the path by one.
+
+        The true place is the nearest to the robot's true pose along the recorded path, from one tick to the next.
+        """
+        poses = np.array(recording.poses)
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        geometry = PathGeometry(poses, np.array([node.distance for node in recording.path.nodes]))
+        station, errors = 0.0, []
+        for tick in self.ticks:
+            station = geometry.project(np.array(tick.pose), station)
+            if tick.state == "following" and not math.isnan(tick.index):
+                errors.append(abs(tick.index - np.interp(station, geometry.stations, np.arange(len(poses)))))
+        return np.array(errors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -496,7 +512,7 @@ def follow(
                 observation.pose,
                 command,
                 last is not None,
-                math.nan if place is None else place.index,
+                math.nan if place is None or place.is_lost else place.index,
                 driver.state,
             )
         )
