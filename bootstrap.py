@@ -35,6 +35,9 @@ PROJECTS = (
     ROOT / "src" / "gibson_sim_bench",
     ROOT / "ros_ws" / "src" / "gibson_examples",
 )
+EDITABLE = "editable_mode=compat"
+"""Of setuptools: editable packages are found by folders in a .pth file. Its default, an import hook, loses against a folder with the name of a
+package in the working directory, such as that of a clone: `import gibson_sim` would then import the empty folder."""
 INTERFACES = (ROOT / "src" / "gibson_msgs", ROOT / "ros_ws" / "src" / "compat")
 PYTHON_ONLY = ROOT / "ros_ws" / "src" / "compat" / "python_only"
 """Folder of the CMake package that limits message generation to Python."""
@@ -377,12 +380,12 @@ def install_project(venv: Path) -> bool:
     """Installs Gibson Sim, path following and the examples from the source tree, editable. Returns whether there was something to do."""
     files = [project / name for project in PROJECTS for name in ("setup.py", "setup.cfg", "pyproject.toml")]
     shared = [str(path) for project in PROJECTS for path in shared_parts(project)]
-    stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv), *shared))
+    stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv), EDITABLE, *shared))
     if stamp.fresh():
         return False
     with step(f"installing {', '.join(project.name for project in PROJECTS)} from the source tree"):
         for project in PROJECTS:
-            pip(venv, project.name, "install", "--editable", str(project))
+            pip(venv, project.name, "install", "--config-settings", EDITABLE, "--editable", str(project))
             put_into_ament_index(venv, project)
     stamp.write()
     return True

@@ -6,6 +6,7 @@ import inspect
 import pydoc
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -48,3 +49,11 @@ gs.Simulation('flat').close()
 print([m for m in ('moderngl', 'rclpy', 'torch') if m in sys.modules])"""
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == ["[]", "[]"]
+
+
+def test_a_folder_of_the_same_name_in_the_working_directory_is_not_imported(tmp_path: Path) -> None:
+    # As in the folder that a clone is in.
+    (tmp_path / "gibson_sim").mkdir()
+    command = [sys.executable, "-c", "import gibson_sim as gs; print(gs.list_scenes())"]
+    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "linden_flat" in found.stdout, found.stderr

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import (
     R_LINK_OPTICAL,
+    camera_pose,
     invert,
     matrices_from_poses,
     matrix_from_pose,
@@ -151,3 +153,19 @@ def test_the_inverse_undoes_the_transform(pose):
     matrix = matrix_from_pose(pose)
     np.testing.assert_allclose(invert(matrix) @ matrix, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(matrix @ invert(matrix), np.eye(4), atol=1e-9)
+
+
+@pytest.mark.parametrize(("look_at", "image_y"), [((1.0, 2.0, 0.0), (0.0, -1.0, 0.0)), ((1.0, 2.0, 9.0), (0.0, 1.0, 0.0))])
+def test_a_camera_that_looks_straight_down_or_up_has_the_worlds_x_to_the_right(
+    look_at: tuple[float, float, float], image_y: tuple[float, float, float]
+) -> None:
+    T_world_optical = matrix_from_pose(camera_pose((1.0, 2.0, 3.0), look_at))
+    np.testing.assert_allclose(T_world_optical[:3, 0], (1.0, 0.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(T_world_optical[:3, 1], image_y, atol=1e-12)
+    np.testing.assert_allclose(T_world_optical[:3, 3], (1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("look_at", [(1.0, 2.0, 3.0), (1.0, math.nan, 0.0), (math.inf, 0.0, 0.0)])
+def test_a_camera_that_looks_nowhere_is_refused(look_at: tuple[float, float, float]) -> None:
+    with pytest.raises(ConfigError, match="must be another point, with finite coordinates"):
+        camera_pose((1.0, 2.0, 3.0), look_at)

@@ -52,19 +52,21 @@ def matrix_from_quat(quat_xyzw: ArrayLike) -> NDArray[np.float64]:
 
 
 def camera_pose(eye: Vec3, look_at: Vec3) -> Pose:
-    """Returns T_world_optical of a camera without roll that looks at a point.
+    """Returns T_world_optical of a camera without roll that looks at a point; straight up or down, the image's x axis is the world's.
 
     Args:
         eye: position of the camera, world metres.
-        look_at: point at the centre of the image, world metres; neither at the eye nor straight above or below it.
+        look_at: point at the centre of the image, world metres.
 
     Raises:
-        ConfigError: the points coincide, or one is straight above the other.
+        ConfigError: the points coincide, or are not finite.
     """
     forward = np.subtract(look_at, eye).astype(np.float64)
+    if not (np.isfinite(forward).all() and np.linalg.norm(forward) > 1e-9):
+        raise ConfigError(f"camera at {eye} looks at {look_at}: must be another point, with finite coordinates")
     right = np.cross(forward, (0.0, 0.0, 1.0))
-    if not (np.isfinite(forward).all() and np.linalg.norm(right) > 1e-9):
-        raise ConfigError(f"camera at {eye} looks at {look_at}: must be another point, not straight above or below")
+    if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward):
+        forward, right = np.array([0.0, 0.0, np.sign(forward[2])]), np.array([1.0, 0.0, 0.0])
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
     return Pose(eye, quat_from_matrix(np.stack([right, np.cross(forward, right), forward], axis=1)))
 

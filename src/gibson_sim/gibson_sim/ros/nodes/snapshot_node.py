@@ -85,7 +85,7 @@ class SnapshotNode(Node):
         except WriteError as error:  # rclpy would print a traceback of an exception in a callback
             self._failed = error
             return
-        print(path)
+        print(f"{path} (16-bit, millimetres: dark in image viewers)" if path.stem.endswith("_depth") else path)
 
     def spin(self) -> int:
         """Spins until every image is saved; returns the exit code.
