@@ -526,6 +526,25 @@ def test_images_wait_for_their_camera_info(context: Any, folder: Path, wall: Any
     driven.node.destroy_node()
 
 
+def test_an_image_whose_camera_info_arrives_after_it_is_used_unless_it_is_too_old_by_then(
+    context: Any, folder: Path, tmp_path: Path
+) -> None:
+    recording = Recording(context, tmp_path / "new", use_camera_info=True, camera_hfov_deg=0.0)
+    recording.see(0, NS)
+    recording.node._input._on_info("front", _info())
+    recording.see(1, NS + TICK)
+    recording.node._input._on_info("front", _info())
+    recording.node.stop()
+    assert [node.stamp_ns for node in load_path(tmp_path / "new").nodes] == [NS, NS + TICK]
+    recording.node.destroy_node()
+    driven = Driven(context, folder, use_camera_info=True)
+    driven.see(0, TICK)
+    driven.now_ns += NS
+    driven.node._input._on_info("front", _info())
+    assert driven.node._follower.place is None
+    driven.node.destroy_node()
+
+
 def test_a_camera_info_without_calibration_or_with_an_impossible_one_stops_the_robot(context: Any, folder: Path) -> None:
     driven = Driven(context, folder, use_camera_info=True)
     driven.node._input._on_info("front", _info())

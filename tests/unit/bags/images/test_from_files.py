@@ -50,6 +50,13 @@ def test_photographs_stand_in_the_order_of_their_numbers_at_the_given_rate(photo
     assert check_bag(tmp_path / "bag").ok
 
 
+def test_each_image_comes_after_the_camera_info_that_receivers_need_for_it(photographs: Path, tmp_path: Path) -> None:
+    write_bag(photographs, tmp_path / "bag", CameraSettings(rate_hz=4.0))
+    order = [(topic, _stamp_ns(message)) for topic, message in _messages(tmp_path / "bag")]
+    stamps = (NS, NS + NS // 4, NS + NS // 2)
+    assert order == [(topic, stamp) for stamp in stamps for topic in ("/camera/camera_info", "/camera/image_raw")]
+
+
 def test_camera_info_has_the_field_of_view_or_says_that_there_is_none(photographs: Path, tmp_path: Path) -> None:
     write_bag(photographs, tmp_path / "with", CameraSettings(topic="/front/image", hfov_deg=90.0))
     write_bag(photographs, tmp_path / "without")

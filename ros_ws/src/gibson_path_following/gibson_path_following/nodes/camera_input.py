@@ -70,6 +70,8 @@ class CameraInput:
         """Stamp of the newest view that was used, ns."""
         self._stamps: StampFilter[View] | None = StampFilter() if max_age is None else None
         """Judges the stamps of views where the clock does not."""
+        self._without_info: tuple[int, tuple[Any, ...]] | None = None
+        """Stamp, ns, and messages of the newest view without camera_info, which may arrive after it."""
         self._without_info_ns: int | None = None
         """Wall time of the first image that had no camera_info, ns."""
         self._off_clock_ns: int | None = None
@@ -89,6 +91,7 @@ class CameraInput:
     def close(self) -> None:
         """Ends the subscriptions; a second call does nothing."""
         self._watch.close()
+        self._without_info = None
         while self._subscriptions:
             self._node.destroy_subscription(self._subscriptions.pop())
 
@@ -98,6 +101,10 @@ class CameraInput:
         except SettingError as error:
             # The images are not used with an older calibration: it may be that of another camera.
             self._infos[name] = error
+        if self._without_info is not None and self._has_infos():
+            (stamp, messages), self._without_info = self._without_info, None
+            if self._max_age_ns is None or not self._is_off_clock(stamp):
+                self._use(stamp, messages)
 
     def _on_image(self, name: str, topic: str, msg: Any) -> None:
         stamp = conversions.stamp_ns(msg.header.stamp)
@@ -114,10 +121,18 @@ class CameraInput:
             self._warn_unless_complete()
             return
         self._incomplete_ns = None
-        stamp, messages = complete
+        self._use(*complete)
+
+    def _has_infos(self) -> bool:
+        """Returns whether each camera that needs a camera_info has had one."""
+        return not self._options.use_camera_info or all(name in self._infos for name in IMAGES_OF[self._kind])
+
+    def _use(self, stamp: int, messages: tuple[Any, ...]) -> None:
+        """Passes on the view in the messages of one time, ns, unless it comes too early for the rate or cannot be used."""
         # A tenth of tolerance: stamps of a real camera jitter.
         if self._used_ns is not None and stamp - self._used_ns < 0.9 * self._period_ns:
             return
+        self._without_info = None if self._has_infos() else (stamp, messages)
         images = [self._image(*each) for each in zip(IMAGES_OF[self._kind], self._options.image_topics, messages, strict=True)]
         view = tuple(image for image in images if image is not None)
         if len(view) == len(images):

@@ -210,13 +210,13 @@ class _Messages:
         """Topic -> type: of the images, and of their camera_info."""
 
     def of(self, frame: _Frame) -> Iterator[tuple[str, bytes]]:
-        """Yields the messages of a frame, each with its topic."""
+        """Yields the messages of a frame, each with its topic: camera_info first, since receivers need it to use the image."""
         types = self._store.types
         stamp = types["builtin_interfaces/msg/Time"](sec=frame.stamp_ns // NS_PER_S, nanosec=frame.stamp_ns % NS_PER_S)
         header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=self._settings.frame)
-        messages: tuple[Any, Any] = (self._image(header, frame.rgb), self._info(header))
-        for (topic, type_name), message in zip(self.types.items(), messages, strict=True):
-            yield topic, bytes(self._store.serialize_cdr(message, type_name))
+        (image_topic, image_type), (info_topic, info_type) = self.types.items()
+        yield info_topic, bytes(self._store.serialize_cdr(self._info(header), info_type))
+        yield image_topic, bytes(self._store.serialize_cdr(self._image(header, frame.rgb), image_type))
 
     def _image(self, header: Any, rgb: U8) -> Any:
         if self._settings.compressed:
