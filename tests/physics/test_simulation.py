@@ -249,3 +249,11 @@ def test_a_robot_that_is_spawned_has_no_readings_of_one_that_was_removed() -> No
         sim.spawn("gibson_bot_real", "other", (1.9, 4.9, 0.0))
         with pytest.raises(gs.GibsonSimError, match="has not measured yet"):
             sim.reading(sensor, "other")
+
+
+def test_a_start_outside_the_building_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    with gs.Simulation("flat", start="100,200,0"):
+        assert "robot starts at 100.00,200.00, " in caplog.text and "scene inspect" in caplog.text
+    caplog.clear()
+    with gs.Simulation("flat"):
+        assert not caplog.text

@@ -35,6 +35,7 @@ from gibson_sim.sensors.imu import ImuReading
 from gibson_sim.sensors.lidar import Scan, measure_scan, noise_of
 from gibson_sim.sensors.suite import Measurements, SensorSuite
 from gibson_sim.settings import nearest
+from gibson_sim.standard.population import warn_of_misplaced_robots
 from gibson_sim.types import (
     WORLD_FRAME,
     CameraSpec,
@@ -232,6 +233,7 @@ class Simulation:
         """The physics world, for functions that this class does not have: grasping, rays, joint efforts, attachments."""
         try:
             self._add_suites()
+            warn_of_misplaced_robots(self.world)
         except BaseException:
             self.close()
             raise
@@ -623,7 +625,7 @@ class Simulation:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise PhysicsError("this simulation is closed; make a new one")
+            raise PhysicsError("this simulation is closed; create a new one")
 
     def _identity(self) -> tuple[Any, ...]:
         """Returns what a saved run depends on besides its inputs."""

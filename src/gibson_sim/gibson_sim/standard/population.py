@@ -149,11 +149,7 @@ class Population:
         self._initial = world.scene
         self._entities: dict[str, Entity] = {}
         self._list_entities()
-        for robot in world.scene.robots:
-            if misplaced := self._misplacement(robot):
-                x, y, _ = robot.start.position
-                hint = "`gibson-sim scene inspect` shows the floors of a scene and the names of its start poses"
-                _LOG.warning("%s starts at %.2f,%.2f, %s; %s", robot.name, x, y, misplaced, hint)
+        warn_of_misplaced_robots(world)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -264,7 +260,7 @@ class Population:
         if isinstance(spec, RobotSpec):
             namespace = self._robot_namespace(name, namespace)
             spec = in_namespace(spec, namespace, self._robot_tf) if namespace else spec
-        falls = self._has_nothing_below(pose)
+        falls = _has_nothing_below(self._world, pose)
         try:
             self._world.add(spec)
         except StartError as error:
@@ -276,25 +272,6 @@ class Population:
             x, y, _ = pose.position
             _LOG.warning("spawned %s at %.2f,%.2f, where there is nothing below it: it falls", quoted(name), x, y)
         return name
-
-    def _misplacement(self, robot: RobotSpec) -> str:
-        """Returns what is wrong with a robot's start: it would fall, or is outside a building on infinite ground; empty = nothing."""
-        if self._has_nothing_below(robot.start, robot.name):
-            return "where there is nothing below it: it falls"
-        bounds = self._world.static_bounds()
-        if bounds is None or not self._world.scene.starts:  # without start poses, open ground may be all there is
-            return ""
-        (low_x, low_y, _), (high_x, high_y, _) = bounds
-        x, y, _ = robot.start.position
-        if low_x <= x <= high_x and low_y <= y <= high_y:
-            return ""
-        return f"outside the scene, which is from x {low_x:.1f} to {high_x:.1f} and y {low_y:.1f} to {high_y:.1f} m"
-
-    def _has_nothing_below(self, pose: Pose, robot: str | None = None) -> bool:
-        """Returns whether a downward ray from a pose hits neither floor nor object; it ignores ``robot``."""
-        x, y, z = pose.position
-        ranges = self._world.cast_rays([(x, y, z + _RAY_START_HEIGHT)], [(0.0, 0.0, -1.0)], _RAY_LENGTH, robot)
-        return bool(np.isinf(ranges[0]))
 
     def _spawn_pose(self, request: SpawnRequest) -> Pose:
         return self._placed(
@@ -384,3 +361,33 @@ class Population:
         names = list(self._entities)
         more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
         return f"there are: {', '.join(names[:_MAX_LISTED]) or 'none'}{more}"
+
+
+def warn_of_misplaced_robots(world: PhysicsWorld) -> None:
+    """Logs a warning for each robot whose start has no floor, or is outside the building."""
+    for robot in world.scene.robots:
+        if misplaced := _misplacement(world, robot):
+            x, y, _ = robot.start.position
+            hint = "`gibson-sim scene inspect` shows the floors of a scene and the names of its start poses"
+            _LOG.warning("%s starts at %.2f,%.2f, %s; %s", robot.name, x, y, misplaced, hint)
+
+
+def _misplacement(world: PhysicsWorld, robot: RobotSpec) -> str:
+    """Returns what is wrong with a robot's start: it would fall, or is outside a building on infinite ground; empty = nothing."""
+    if _has_nothing_below(world, robot.start, robot.name):
+        return "where there is nothing below it: it falls"
+    bounds = world.static_bounds()
+    if bounds is None or not world.scene.starts:  # without start poses, open ground may be all there is
+        return ""
+    (low_x, low_y, _), (high_x, high_y, _) = bounds
+    x, y, _ = robot.start.position
+    if low_x <= x <= high_x and low_y <= y <= high_y:
+        return ""
+    return f"outside the scene, which is from x {low_x:.1f} to {high_x:.1f} and y {low_y:.1f} to {high_y:.1f} m"
+
+
+def _has_nothing_below(world: PhysicsWorld, pose: Pose, robot: str | None = None) -> bool:
+    """Returns whether a downward ray from a pose hits neither floor nor object; it ignores ``robot``."""
+    x, y, z = pose.position
+    ranges = world.cast_rays([(x, y, z + _RAY_START_HEIGHT)], [(0.0, 0.0, -1.0)], _RAY_LENGTH, robot)
+    return bool(np.isinf(ranges[0]))
