@@ -19,6 +19,7 @@ from gibson_sim.errors import CommandError, ConfigError, GibsonSimError, Physics
 from gibson_sim.geometry.transforms import quat_from_rpy, yaw_from_quat
 from gibson_sim.maps.floor_extent import extent_of_scene
 from gibson_sim.maps.placement import in_namespace, place_robots, start_pose
+from gibson_sim.physics.start_checks import warn_of_misplaced_robots
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.joints.commands import JointPositions
@@ -35,7 +36,6 @@ from gibson_sim.sensors.imu import ImuReading
 from gibson_sim.sensors.lidar import Scan, measure_scan, noise_of
 from gibson_sim.sensors.suite import Measurements, SensorSuite
 from gibson_sim.settings import nearest
-from gibson_sim.standard.population import warn_of_misplaced_robots
 from gibson_sim.types import (
     WORLD_FRAME,
     CameraSpec,

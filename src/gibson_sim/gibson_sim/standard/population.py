@@ -14,6 +14,7 @@ from gibson_sim.errors import GibsonSimError, StartError
 from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose, matrix_from_quat, pose_from_matrix
 from gibson_sim.maps.placement import in_namespace
 from gibson_sim.physics.body import prepare_meshes
+from gibson_sim.physics.start_checks import has_nothing_below, warn_of_misplaced_robots
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import RobotSpec
@@ -27,10 +28,6 @@ from gibson_sim.types import Pose, Quat, Vec3
 
 MAX_ENTITIES = 2000
 """Maximum number of entities in a world: with more, physics is slow even if all bodies are at rest, and messages that list them are large."""
-_RAY_START_HEIGHT = 0.1
-"""Height above a spawned entity's origin at which the ray that searches for a floor starts, m: the origin may lie slightly below the floor."""
-_RAY_LENGTH = 1000.0
-"""Length of the ray that searches for a floor, m."""
 _LOG = logging.getLogger(__name__)
 _MAX_LISTED = 8
 """Maximum number of entities that an error message lists."""
@@ -260,7 +257,7 @@ class Population:
         if isinstance(spec, RobotSpec):
             namespace = self._robot_namespace(name, namespace)
             spec = in_namespace(spec, namespace, self._robot_tf) if namespace else spec
-        falls = _has_nothing_below(self._world, pose)
+        falls = has_nothing_below(self._world, pose)
         try:
             self._world.add(spec)
         except StartError as error:
@@ -361,33 +358,3 @@ class Population:
         names = list(self._entities)
         more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
         return f"there are: {', '.join(names[:_MAX_LISTED]) or 'none'}{more}"
-
-
-def warn_of_misplaced_robots(world: PhysicsWorld) -> None:
-    """Logs a warning for each robot whose start has no floor, or is outside the building."""
-    for robot in world.scene.robots:
-        if misplaced := _misplacement(world, robot):
-            x, y, _ = robot.start.position
-            hint = "`gibson-sim scene inspect` shows the floors of a scene and the names of its start poses"
-            _LOG.warning("%s starts at %.2f,%.2f, %s; %s", robot.name, x, y, misplaced, hint)
-
-
-def _misplacement(world: PhysicsWorld, robot: RobotSpec) -> str:
-    """Returns what is wrong with a robot's start: it would fall, or is outside a building on infinite ground; empty = nothing."""
-    if _has_nothing_below(world, robot.start, robot.name):
-        return "where there is nothing below it: it falls"
-    bounds = world.static_bounds()
-    if bounds is None or not world.scene.starts:  # without start poses, open ground may be all there is
-        return ""
-    (low_x, low_y, _), (high_x, high_y, _) = bounds
-    x, y, _ = robot.start.position
-    if low_x <= x <= high_x and low_y <= y <= high_y:
-        return ""
-    return f"outside the scene, which is from x {low_x:.1f} to {high_x:.1f} and y {low_y:.1f} to {high_y:.1f} m"
-
-
-def _has_nothing_below(world: PhysicsWorld, pose: Pose, robot: str | None = None) -> bool:
-    """Returns whether a downward ray from a pose hits neither floor nor object; it ignores ``robot``."""
-    x, y, z = pose.position
-    ranges = world.cast_rays([(x, y, z + _RAY_START_HEIGHT)], [(0.0, 0.0, -1.0)], _RAY_LENGTH, robot)
-    return bool(np.isinf(ranges[0]))
