@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -33,6 +33,20 @@ class Messages:
 
     def cdr(self, message: Any) -> bytes:
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
+
+    def filled(self, type_name: str, /, **values: Any) -> Any:
+        """Returns a message whose other fields are zero, empty or false."""
+        fields = self.store.fielddefs[type_name][1]
+        return self.types[type_name](**{field: values.get(field, self._nothing(desc)) for field, desc in fields})
+
+    def _nothing(self, desc: Any) -> Any:
+        kind, rest = desc
+        if kind.name == "NAME":
+            return self.filled(rest)
+        if kind.name == "BASE":
+            return "" if rest[0] == "string" else rest[0] == "bool" and False
+        inner, length = rest
+        return np.zeros(length) if inner[0].name == "BASE" and inner[1][0] != "string" else []
 
     def time(self, ns: int) -> Any:
         return self.types["builtin_interfaces/msg/Time"](sec=ns // NS, nanosec=ns % NS)
@@ -142,6 +156,10 @@ class Messages:
             )
         )  # fmt: skip
 
+    def scene(self, camera_rate_hz: float) -> bytes:
+        camera = self.filled("gibson_msgs/msg/Camera", name="camera", rate=camera_rate_hz)
+        return self.cdr(self.filled("gibson_msgs/msg/Scene", revision=1, links=["robot/base_footprint"], cameras=[camera]))
+
     def text(self, value: str) -> bytes:
         return self.cdr(self.types["std_msgs/msg/String"](data=value))
 
@@ -153,9 +171,19 @@ def messages(root: Path) -> Messages:
 
 @pytest.fixture
 def write_drive(messages: Messages, tmp_path: Path) -> Callable[..., Path]:
-    """Returns a function that writes a short drive: 1 m along x in 10 steps of 0.1 s, with a camera of 8 x 6 pixels."""
+    """Returns a function that writes a short drive: 1 m along x in 10 steps of 0.1 s, with a camera of 8 x 6 pixels.
 
-    def write(folder: str = "drive", *, image_shift_ns: int = 0, skip_images: tuple[int, ...] = (), frames: int = 11) -> Path:
+    With ``camera_rate_hz`` the bag has the scene, too, with the camera's rate.
+    """
+
+    def write(
+        folder: str = "drive",
+        *,
+        image_shift_ns: int = 0,
+        skip_images: Collection[int] = (),
+        frames: int = 11,
+        camera_rate_hz: float = 0.0,
+    ) -> Path:
         path = tmp_path / folder
         with BagWriter(path, reserve_bytes=0, chunk_bytes=2000) as bag:
             topics = SimpleNamespace(rgb="/camera/image_raw", depth="/camera/depth/image_raw")
@@ -168,6 +196,9 @@ def write_drive(messages: Messages, tmp_path: Path) -> Callable[..., Path]:
             bag.add_topic("/tf_static", "tf2_msgs/msg/TFMessage", TopicQos.latched())
             bag.add_topic("/scene_state", "gibson_msgs/msg/SceneState")
             bag.write("/tf_static", messages.transform(0, "camera_link"), NS, NS)
+            if camera_rate_hz:
+                bag.add_topic("/scene", "gibson_msgs/msg/Scene", TopicQos.latched())
+                bag.write("/scene", messages.scene(camera_rate_hz), NS, NS)
             for i in range(frames):
                 now = NS + i * PERIOD_NS
                 bag.write("/odom", messages.odometry(now, 0.1 * i, 0.0), now, now)

@@ -78,7 +78,31 @@ def test_missing_images_are_counted_and_noted(write_drive: Callable[..., Path]) 
     report = check_bag(write_drive(skip_images=(3, 4, 7)))
     assert report.ok
     (note,) = report.notes
-    assert note.startswith("3 of 11 messages are missing on /camera/depth/image_raw, /camera/image_raw: the renderer skips")
+    assert note.startswith(
+        "3 of 11 messages are missing on /camera/depth/image_raw, /camera/image_raw, at the rate of the received ones: the renderer skips"
+    )
+
+
+def test_images_are_missing_by_the_recorded_rate_of_their_camera(write_drive: Callable[..., Path]) -> None:
+    three_of_four = [frame for frame in range(41) if frame % 4]
+    report = check_bag(write_drive("known", frames=41, skip_images=three_of_four, camera_rate_hz=10.0))
+    (note,) = report.notes
+    assert note.startswith(
+        "30 of 41 messages are missing on /camera/depth/image_raw, /camera/image_raw, at 10 Hz: the renderer skips"
+    )
+    rates = {topic.info.name: (topic.rate_hz, topic.missing) for topic in report.topics}
+    assert rates["/camera/image_raw"] == rates["/camera/depth/camera_info"] == (pytest.approx(10.0), 30)
+    # Without the rate, those that arrived look complete; a camera that is faster than the recorded states is drawn at each of these.
+    unknown = check_bag(write_drive("unknown", frames=41, skip_images=three_of_four))
+    faster = check_bag(write_drive("faster", frames=41, skip_images=three_of_four, camera_rate_hz=30.0))
+    assert unknown.notes == faster.notes == ()
+
+
+def test_stamps_on_ticks_that_no_rate_divides_are_complete(write_drive: Callable[..., Path]) -> None:
+    """8 Hz at 10 ticks a second: images at all ticks but two of ten, 0.1 s or 0.2 s apart."""
+    due = [tick for tick in range(11) if (tick + 10) * 8 // 10 > (tick + 9) * 8 // 10]
+    report = check_bag(write_drive(skip_images=set(range(11)) - set(due), camera_rate_hz=8.0))
+    assert {topic.info.name: topic.missing for topic in report.topics}["/camera/image_raw"] == 0
 
 
 def test_stamp_that_does_not_rise_is_a_problem(write_odometry: Callable[..., Path]) -> None:

@@ -67,21 +67,7 @@ class Drives:
     """Writes bags of a short drive."""
 
     def __init__(self, messages: Any, folder: Path) -> None:
-        self.messages, self.folder, self.types = messages, folder, messages.types
-
-    def filled(self, type_name: str, /, **values: Any) -> Any:
-        """Returns a message whose other fields are zero, empty or false."""
-        fields = self.messages.store.fielddefs[type_name][1]
-        return self.types[type_name](**{field: values.get(field, self._nothing(desc)) for field, desc in fields})
-
-    def _nothing(self, desc: Any) -> Any:
-        kind, rest = desc
-        if kind.name == "NAME":
-            return self.filled(rest)
-        if kind.name == "BASE":
-            return "" if rest[0] == "string" else rest[0] == "bool" and False
-        inner, length = rest
-        return np.zeros(length) if inner[0].name == "BASE" and inner[1][0] != "string" else []
+        self.messages, self.folder, self.types, self.filled = messages, folder, messages.types, messages.filled
 
     def pose(self, T: Mat4) -> Any:
         pose = pose_from_matrix(T)

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, IMAGE_TYPES, base_topic
-from gibson_sim.bags.plots.rates import is_event, is_of_this_clock, missing_in, period_of
+from gibson_sim.bags.plots.rates import (
+    camera_rate_of,
+    camera_rates,
+    is_event,
+    is_of_this_clock,
+    missing_at,
+    missing_in,
+    period_of,
+)
 from gibson_sim.bags.plots.touches import Touch, TouchFinder, origin_ns, robot_bodies, robot_namespaces
 from gibson_sim.bags.reader import BagReader, TopicInfo
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
@@ -50,10 +58,12 @@ class TopicReport:
     last_ns: int = 0
     """Both 0 if the topic has no message."""
     rate_hz: float = 0.0
-    """Message rate in simulation time, Hz, from the nominal period; 0 = the topic has no rate."""
+    """Message rate in simulation time, Hz: the camera's, if the bag has it, else that of the received messages; 0 = the topic has no rate."""
     missing: int | None = None
-    """Messages missing by the nominal period; None = unknown, for topics without a rate or without stamps, and for camera_info without its
-    images: both are published only while the images have subscribers."""
+    """Messages missing at this rate, between the first and the last; None = unknown, for topics without a rate or without stamps, and for
+    camera_info without its images: both are published only while the images have subscribers."""
+    is_rate_known: bool = False
+    """Whether the rate is that of the recorded camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +224,7 @@ def check_bag(folder: str | Path) -> BagReport:
         infos = bag.topics()
         if not any(info.count for info in infos.values()):
             raise RecordError(f"bag {folder} holds no messages: nothing can be checked")
-        data = _collect(bag, infos)
+        data, rates = _collect(bag, infos), camera_rates(bag)
         first_ns, last_ns = bag.span_ns
     problems = _order_problems(infos, data)
     notes: list[str] = []
@@ -235,7 +245,10 @@ def check_bag(folder: str | Path) -> BagReport:
             elif _compare(topic, partner, data, problems, notes):
                 compared["its camera_info" if partner.endswith("/camera_info") else "an odometry"] += 1
         notes += [f"{topic}: the bag has no {what}" for what in _lacking(topic, partners)]
-    reports = tuple(_topic_report(info, data.stamps.get(topic), data.log_ns[topic], images) for topic, info in infos.items())
+    reports = tuple(
+        _topic_report(info, data.stamps.get(topic), data.log_ns[topic], images, camera_rate_of(topic, rates))
+        for topic, info in infos.items()
+    )
     notes += _missing_notes(reports)
     odometries = tuple(found for robot in robot_namespaces(infos) if (found := _odometry(robot, infos, data)) is not None)
     seconds = (last_ns - first_ns) / NS_PER_S
@@ -271,19 +284,20 @@ def _collect(bag: BagReader, infos: dict[str, TopicInfo]) -> _Collected:
 
 def _missing_notes(reports: Iterable[TopicReport]) -> list[str]:
     """Returns a note for each number of missing messages: the topics of one camera lack the same messages."""
-    alike: dict[tuple[int, int], list[str]] = {}
+    alike: dict[tuple[int, int, str], list[str]] = {}
     for report in reports:
         if report.missing and report.info.type_name in ONE_SOURCE:
-            alike.setdefault((report.missing, report.info.count), []).append(report.info.name)
+            rate = f"{report.rate_hz:g} Hz" if report.is_rate_known else "the rate of the received ones"
+            alike.setdefault((report.missing, report.info.count, rate), []).append(report.info.name)
     notes = []
-    for (missing, count), topics in alike.items():
+    for (missing, count, rate), topics in alike.items():
         images = [topic for topic in topics if not topic.endswith("/camera_info")]  # these come with images
         why = (
             ": the renderer skips images that it cannot draw in time, or failed to draw (see the summary and the log of the run)"
             if any("image" in topic for topic in images)
             else ""
         )
-        notes.append(f"{missing} of {missing + count} messages are missing on {', '.join(images or topics)}{why}")
+        notes.append(f"{missing} of {missing + count} messages are missing on {', '.join(images or topics)}, at {rate}{why}")
     return notes
 
 
@@ -357,8 +371,18 @@ def _span(stamps: Stamps) -> str:
     return f"{stamps.min() / NS_PER_S:.3f} s to {stamps.max() / NS_PER_S:.3f} s"
 
 
-def _topic_report(info: TopicInfo, stamps: Stamps | None, log_ns: Stamps, images: list[str]) -> TopicReport:
-    """Returns the timing of a topic; ``images``: image topics of the bag."""
+def _topic_report(
+    info: TopicInfo, stamps: Stamps | None, log_ns: Stamps, images: list[str], camera_rate_hz: float
+) -> TopicReport:
+    """Returns the timing of a topic.
+
+    Args:
+        info: the topic.
+        stamps: its stamps, ns; None = it has none.
+        log_ns: its log times, ns.
+        images: image topics of the bag.
+        camera_rate_hz: recorded rate of its camera, Hz; 0 = unknown, or not of a camera.
+    """
     stamped = stamps is not None and is_of_this_clock(stamps, log_ns)
     times = stamps if stamped and stamps is not None else log_ns
     if not len(times):
@@ -366,13 +390,15 @@ def _topic_report(info: TopicInfo, stamps: Stamps | None, log_ns: Stamps, images
     first, last = int(times.min()), int(times.max())
     if info.latched or info.type_name in (CLOCK, *NO_RATE):
         return TopicReport(info, first, last)
-    period = period_of(times, periodic=info.type_name in ONE_SOURCE)
+    is_known = stamped and camera_rate_hz > 0.0
+    period = NS_PER_S / camera_rate_hz if is_known else period_of(times, periodic=info.type_name in ONE_SOURCE)
     if not period:
         return TopicReport(info, first, last)
     folder, _, name = info.name.rpartition("/")
     alone = name == "camera_info" and not any(base_topic(image).rpartition("/")[0] == folder for image in images)
     counts = stamped and not is_event(info) and not alone
-    return TopicReport(info, first, last, NS_PER_S / period, missing_in(times, period) if counts else None)
+    missing = missing_at(times, camera_rate_hz) if is_known else missing_in(times, period)
+    return TopicReport(info, first, last, NS_PER_S / period, missing if counts else None, is_known)
 
 
 def _odometry(robot: str, infos: dict[str, TopicInfo], data: _Collected) -> OdometryReport | None:
