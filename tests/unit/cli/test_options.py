@@ -7,6 +7,7 @@ import argparse
 import pytest
 import yaml
 
+from gibson_sim.cli.commands import replay
 from gibson_sim.cli.commands.params import markdown
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.config import PhysicsConfig
@@ -62,3 +63,12 @@ def test_help_tells_what_each_value_is() -> None:
     ):
         assert shown in text
     assert "(default: linden_flat)" in text and "(default: '')" not in text and "default: False" not in text
+
+
+def test_help_of_a_replay_names_the_values_of_the_bag_as_defaults() -> None:
+    parsers = argparse.ArgumentParser().add_subparsers()
+    replay.add_parser(parsers)
+    text = " ".join(parsers.choices["replay"].format_help().split())
+    for wrong in ("linden_flat", "gibson_bot)", "(default: 1)", "(default: 0)", "libEGL.so.1"):
+        assert wrong not in text
+    assert text.count("(default: that of the bag)") == len((*replay._PHYSICS, *replay._RENDER))

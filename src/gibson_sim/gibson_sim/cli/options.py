@@ -39,14 +39,21 @@ _METAVARS = {
 """Setting -> placeholder of its value in the help, if neither unit nor type describes it."""
 
 
-def add_settings(parser: argparse._ActionsContainer, cls: type[Any], names: Iterable[str]) -> None:
-    """Adds an option for each named field of the settings class ``cls``: ``--step-hz`` for ``step_hz``."""
+def add_settings(parser: argparse._ActionsContainer, cls: type[Any], names: Iterable[str], *, default: str = "") -> None:
+    """Adds an option for each named field of the settings class ``cls``: ``--step-hz`` for ``step_hz``.
+
+    Args:
+        parser: parser, or group of one.
+        cls: settings class.
+        names: names of its fields.
+        default: what the help names as the default of each option, if it is not that of the class.
+    """
     remaining = set(names)
     for f in fields(cls):
         if f.name not in remaining:
             continue
         remaining.discard(f.name)
-        text = f"{f.metadata['doc']}{_default_of(f.default)}".replace("%", "%%")
+        text = f"{f.metadata['doc']}{f' (default: {default})' if default else _default_of(f.default)}".replace("%", "%%")
         flag = "--" + f.name.replace("_", "-")
         if isinstance(f.default, bool):
             parser.add_argument(flag, dest=f.name, action=argparse.BooleanOptionalAction, default=None, help=text)

@@ -57,8 +57,8 @@ def add_parser(subparsers: Any) -> None:
         "--verify", action="store_true", help="compare the digests of every tick with the bag's; exit code 6 if they differ"
     )
     parser.add_argument("--no-render", action="store_true", help="run physics only, without images")
-    add_settings(parser, PhysicsConfig, _PHYSICS)
-    add_settings(parser, RenderConfig, _RENDER)
+    add_settings(parser, PhysicsConfig, _PHYSICS, default="that of the bag")
+    add_settings(parser, RenderConfig, _RENDER, default="that of the bag")
     record = parser.add_argument_group("record")
     record.add_argument("--record", metavar="DIR", help="record the replay into this folder, which must not exist")
     add_settings(record, RecordConfig, ("topics", "record_images", "compression", "reserve_mb"))
