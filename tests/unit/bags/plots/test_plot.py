@@ -5,18 +5,22 @@ from __future__ import annotations
 import builtins
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
+import matplotlib
 import numpy as np
 import pytest
 import yaml
+from matplotlib.figure import Figure
 
 from gibson_sim.bags.plots.load import load_run
-from gibson_sim.bags.plots.panels import contact_rows, motion_limits, rates, velocity_parts
-from gibson_sim.bags.plots.plot import write_plots
-from gibson_sim.bags.plots.run_data import Arrivals, RecordedRun, RobotRun, Velocities
+from gibson_sim.bags.plots.panels import contact_rows, draw_paths, motion_limits, rates, velocity_parts
+from gibson_sim.bags.plots.plot import draw_motion, write_plots
+from gibson_sim.bags.plots.run_data import Arrivals, RecordedRun, RobotRun, Track, Velocities
+from gibson_sim.bags.plots.style import STYLE
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.cli.command_line import run as run_command
 from gibson_sim.errors import ConfigError, EnvironmentProblemError, RecordError
@@ -164,6 +168,38 @@ def test_one_robot_of_several(write_run: Callable[..., Path]) -> None:
     assert (right.name, right.truth.x[0]) == ("right", 4.0)
     with pytest.raises(ConfigError, match=r"--robot 'rigt': the bag has left, right; did you mean 'right'\?"):
         load_run(folder, "rigt")
+
+
+def test_the_legend_of_a_narrow_picture_does_not_cover_the_title(write_run: Callable[..., Path]) -> None:
+    run = load_run(write_run())
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(6.2, 4.0), layout="constrained")
+        draw_motion(figure, run)
+        figure.draw_without_rendering()
+    (legend,), title = figure.legends, figure.axes[0]._left_title
+    assert title.get_text() == "Velocities" and len(legend.get_texts()) == 3
+    assert not legend.get_window_extent().overlaps(title.get_window_extent())
+
+
+def test_the_goal_is_in_the_picture_and_no_time_covers_start_end_or_goal(write_run: Callable[..., Path]) -> None:
+    """The robot waits for 4 s at (3, 0), then drives north to (3, 2); the goal is outside the map."""
+    run = load_run(write_run())
+    t = np.append(0.0, np.linspace(4.0, 6.0, 20))
+    north = np.append(0.0, np.linspace(0.0, 2.0, 20))
+    waits = Track(t, np.full(21, 3.0), north, np.full(21, np.pi / 2), "/ground_truth/odom")
+    run = replace(run, robots=(replace(run.robots[0], truth=waits, odometry=None),), end=6.0)
+    figure = Figure(figsize=(5.8, 5.6), layout="constrained")
+    axis = figure.subplots()
+    draw_paths(axis, run, (9.0, 3.0))
+    figure.draw_without_rendering()
+    (goal,) = [line for line in axis.lines if line.get_label() == "goal"]
+    assert (goal.get_xdata()[0], goal.get_ydata()[0]) == (9.0, 3.0)
+    assert axis.get_xlim()[1] > 9.0 and axis.get_ylim()[1] > 3.0
+    times = {text.get_text(): text.get_window_extent() for text in axis.texts}
+    assert list(times) == ["5 s", "6 s"]
+    for place in ((3.0, 0.0), (3.0, 2.0), (9.0, 3.0)):
+        at = axis.transData.transform(place)
+        assert not any(box.contains(*at) for box in times.values())
 
 
 def test_page_refers_to_no_other_file(write_run: Callable[..., Path], tmp_path: Path) -> None:

@@ -21,6 +21,15 @@ PATH_STYLE: tuple[str, dict[str, Any]] = ("true path", {"linewidth": 2.2, "alpha
 ODOMETRY_STYLE: tuple[str, dict[str, Any]] = ("odometry", {"linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 4})
 ESTIMATE_STYLE: tuple[str, dict[str, Any]] = ("estimate", {"linewidth": 1.6, "linestyle": (0, (1, 1.2)), "zorder": 4})
 """Labels and lines of paths."""
+_GOAL_STYLE: dict[str, Any] = {
+    "marker": "*",
+    "linestyle": "none",
+    "color": "#f59e0b",
+    "markeredgecolor": INK,
+    "markersize": 15,
+    "zorder": 4.5,
+}
+"""Marker of the goal."""
 _FLOOR_COLOURS = ((1.0, 1.0, 1.0), (0.61, 0.64, 0.69), (0.925, 0.933, 0.945))
 """Colours of a free, an occupied and an unknown cell."""
 _MARGIN_M = 1.0
@@ -31,6 +40,8 @@ _HOLD_S = 0.5
 """Gap after a command, s, after which it is no longer drawn."""
 _MOST_CONTACTS, MOST_TOPICS = 12, 45
 """Maximum number of rows of contacts, and of topics."""
+_LEGEND_COLUMNS = 4
+"""Maximum number of columns of the legend of velocities."""
 _MOST_BINS = 120
 """Maximum number of columns of the rates of topics."""
 _LEAST_SPAN = 0.1
@@ -63,8 +74,14 @@ def contact_rows(run: RecordedRun) -> list[tuple[str, str]]:
     return [key for key in seconds if key in longest]
 
 
-def draw_paths(axis: Any, run: RecordedRun) -> None:
-    """Draws the map, the paths of the robots, their starts and ends, and the points of contact."""
+def draw_paths(axis: Any, run: RecordedRun, goal: tuple[float, float] | None = None) -> None:
+    """Draws the map, the paths of the robots, their starts and ends, and the points of contact.
+
+    Args:
+        axis: axis of matplotlib.
+        run: the run.
+        goal: x, y of the goal, map frame, metres; None = unknown.
+    """
     if run.floor is not None:
         _draw_floor(axis, run.floor)
     tint, alone, numbers = colours(run), len(run.robots) == 1, {key: i + 1 for i, key in enumerate(contact_rows(run))}
@@ -77,17 +94,19 @@ def draw_paths(axis: Any, run: RecordedRun) -> None:
         axis.plot(reference.x[:1], reference.y[:1], "o", color=INK if alone else tint[robot.name], markersize=7, zorder=5)
         _draw_end(axis, reference, INK if alone else tint[robot.name])
         if alone:
-            _draw_times(axis, run, reference)
+            _draw_times(axis, run, reference, goal)
         for touch in robot.touches:
             number = numbers.get((robot.name, touch.other))
             if number is not None:
                 _draw_touch(axis, *reference.at(touch.begin)[:2], number)
+    if goal is not None:
+        axis.plot(*goal, label="goal", **_GOAL_STYLE)
     axis.set(title=_path_title(run), xlabel="x, m", ylabel="y, m")
     axis.set_aspect("equal", adjustable="box" if run.floor is not None else "datalim")
     if run.floor is not None:
         axis.grid(False)
         axis.set_facecolor(_FLOOR_COLOURS[2])
-        left, right, bottom, top = _window(run, run.floor)
+        left, right, bottom, top = _window(run, run.floor, goal)
         axis.set(xlim=(left, right), ylim=(bottom, top))
     if any(robot.reference is not None for robot in run.robots):
         handles_and_labels = axis.get_legend_handles_labels() if alone else _styles_and_robots(run, *_path_styles(run))
@@ -152,7 +171,7 @@ def _draw_floor(axis: Any, floor: Floor) -> None:
     axis.imshow(pixels, extent=floor.extent, origin="lower", interpolation="nearest", zorder=0)
 
 
-def _window(run: RecordedRun, floor: Floor) -> tuple[float, float, float, float]:
+def _window(run: RecordedRun, floor: Floor, goal: tuple[float, float] | None = None) -> tuple[float, float, float, float]:
     """Returns left, right, bottom and top of the shown part of the map, metres."""
     mapped = np.argwhere(floor.cells >= 0)
     left, right, bottom, top = floor.extent
@@ -162,7 +181,8 @@ def _window(run: RecordedRun, floor: Floor) -> tuple[float, float, float, float]
         left, right = x + column0 * floor.resolution, x + column1 * floor.resolution
         bottom, top = y + row0 * floor.resolution, y + row1 * floor.resolution
     tracks = [track for robot in run.robots for track in (robot.truth, robot.odometry, robot.estimate) if track is not None]
-    xs, ys = np.concatenate([t.x for t in tracks]), np.concatenate([t.y for t in tracks])
+    goals = () if goal is None else (np.array([goal]),)
+    xs, ys = (np.concatenate([*(getattr(t, axis) for t in tracks), *(g[:, i] for g in goals)]) for i, axis in enumerate("xy"))
     size = max(float(np.ptp(xs)), float(np.ptp(ys)), 2.0 * _MARGIN_M)
     margin = max(_MARGIN_M, 0.25 * size)
     if max(right - left, top - bottom) > max(_WHOLE_MAP_M, _LARGE_MAP * size):
@@ -190,23 +210,28 @@ def _draw_touch(axis: Any, x: float, y: float, number: int) -> None:
     )  # fmt: skip
 
 
-def _draw_times(axis: Any, run: RecordedRun, track: Track) -> None:
+def _draw_times(axis: Any, run: RecordedRun, track: Track, goal: tuple[float, float] | None) -> None:
     """Marks the path with times, which the other panels have on their axes; no marks while the robot stands still."""
     seconds = run.end - run.begin
     every = float(next((mark for mark in _MARKS if seconds / mark <= 12), np.ceil(seconds / 12)))
-    last_mark: tuple[float, float] | None = None
     shown = (float(f(v)) for v in (track.x, track.y) for f in (np.min, np.max))
-    left, right, bottom, top = shown if run.floor is None else _window(run, run.floor)
+    left, right, bottom, top = shown if run.floor is None else _window(run, run.floor, goal)
     min_spacing = 0.06 * max(right - left, top - bottom, 1.0)
+    last_mark = float(track.x[0]), float(track.y[0])
+    others = np.array([last_mark, (track.x[-1], track.y[-1]), *([goal] if goal is not None else [])])
     for t in np.arange(np.ceil((run.begin + 1e-6) / every) * every, float(track.t[-1]) + 1e-9, every):
         x, y, _ = track.at(float(t))
-        if t < track.t[0] or (last_mark is not None and np.hypot(x - last_mark[0], y - last_mark[1]) < min_spacing):
+        if t < track.t[0] or np.hypot(x - last_mark[0], y - last_mark[1]) < min_spacing:
             continue
         last_mark = x, y
+        # Beside the mark, away from a start, end or goal that the text could cover.
+        distances = np.hypot(*(others - last_mark).T)
+        nearest = int(np.argmin(distances))
+        is_left = bool(distances[nearest] < 3.0 * min_spacing and others[nearest, 0] > x)
         axis.plot([x], [y], "o", color=INK, markersize=3, zorder=5)
         axis.annotate(
-            f"{t:g} s", (x, y), xytext=(5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6,
-            bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
+            f"{t:g} s", (x, y), xytext=(-5 if is_left else 5, 5), textcoords="offset points", ha="right" if is_left else "left",
+            fontsize=7.5, color=INK, zorder=6, bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
         )  # fmt: skip
 
 
@@ -393,16 +418,14 @@ def _rate_text(rate: float) -> str:
     return f"{rate:.0f} Hz" if rate >= 9.5 else f"{rate:.1f} Hz"
 
 
-def draw_legend(axis: Any, run: RecordedRun) -> None:
-    """Draws the legend of the velocities above their first panel: lines, and for several robots, their colours."""
+def draw_legend(figure: Any, axis: Any, run: RecordedRun) -> None:
+    """Draws the legend of the velocities above the title of their first panel: lines, and for several robots, their colours."""
     handles, labels = axis.get_legend_handles_labels()
     if not handles:
         return
     if len(run.robots) > 1:
         handles, labels = _styles_and_robots(run, COMMAND_STYLE, TRUE_STYLE, WHEEL_STYLE)
-    axis.legend(
-        handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(handles), fontsize=8.5, borderaxespad=0.2
-    )
+    figure.legend(handles, labels, loc="outside upper right", ncols=min(len(handles), _LEGEND_COLUMNS), fontsize=8.5)
 
 
 def _styles_and_robots(run: RecordedRun, *styles: tuple[str, dict[str, Any]]) -> tuple[list[Any], list[str]]:

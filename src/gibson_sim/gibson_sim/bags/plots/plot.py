@@ -129,7 +129,7 @@ def draw_motion(figure: Any, run: RecordedRun) -> None:
     axes = figure.subplots(len(parts) + 1, 1, sharex=True, height_ratios=[2.0] * len(parts) + [0.3 + 0.24 * max(rows, 2)])
     for axis, (part, label) in zip(axes[:-1], parts, strict=True):
         panels.draw_velocities(axis, run, part, label)
-    panels.draw_legend(axes[0], run)
+    panels.draw_legend(figure, axes[0], run)
     axes[0].set_title("Velocities")
     panels.draw_contacts(axes[-1], run)
     end = panels.motion_limits(run)[1]

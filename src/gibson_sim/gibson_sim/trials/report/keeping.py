@@ -40,7 +40,7 @@ def keep_of_run(result: RunResult, folder: Path, keep: Literal["failed", "all"])
         try:
             write_path(bag, folder)
             if not result.passed:
-                _write_pictures(bag, folder)
+                _write_pictures(bag, folder, result.run.goal[:2])
         except GibsonSimError as error:
             _log.warning("run %d: the page lacks pictures of it: %s", result.run.number, error)
     if result.passed and keep == "failed":
@@ -48,16 +48,17 @@ def keep_of_run(result: RunResult, folder: Path, keep: Literal["failed", "all"])
             shutil.rmtree(old, ignore_errors=True)
 
 
-def _write_pictures(bag: Path, folder: Path) -> None:
+def _write_pictures(bag: Path, folder: Path, goal: tuple[float, float]) -> None:
+    """Writes the pictures of a run; ``goal``: x, y, map frame, metres."""
     with BagReader(bag) as reader:
         has_images = any(reader.topics()[topic].count for topic in image_topics(reader))
     if has_images:
         write_film_strip(bag, folder / FILM, columns=_COLUMNS, width=_WIDTH)
     if find_spec("matplotlib") is not None:
-        _write_plots(bag, folder)
+        _write_plots(bag, folder, goal)
 
 
-def _write_plots(bag: Path, folder: Path) -> None:
+def _write_plots(bag: Path, folder: Path, goal: tuple[float, float]) -> None:
     # Imported here: importing matplotlib takes a second, and most runs pass.
     from gibson_sim.bags.plots import panels
     from gibson_sim.bags.plots.load import load_run
@@ -67,7 +68,7 @@ def _write_plots(bag: Path, folder: Path) -> None:
     run = load_run(bag)
 
     def draw_path(figure: Any) -> None:
-        panels.draw_paths(figure.subplots(), run)
+        panels.draw_paths(figure.subplots(), run, goal)
 
     rows = max(len(panels.contact_rows(run)), 2)
     height = 1.7 * len(panels.velocity_parts(run)) + 0.8 + 0.24 * rows
