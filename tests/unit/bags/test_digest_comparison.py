@@ -5,7 +5,14 @@ from __future__ import annotations
 import json
 from array import array
 
-from gibson_sim.bags.digest_comparison import Difference, DigestComparison, Tick, TickDigests, verification_from_json
+from gibson_sim.bags.digest_comparison import (
+    Difference,
+    DigestComparison,
+    Tick,
+    TickDigests,
+    comparison_line,
+    verification_from_json,
+)
 
 
 def _physics(number: int, scan: int | None = None) -> TickDigests:
@@ -116,3 +123,19 @@ def test_a_result_survives_json() -> None:
     comparison.add((0, 4), _physics(5))
     result = comparison.result()
     assert verification_from_json(json.loads(json.dumps(result.to_json()))) == result
+
+
+def test_two_bags_are_compared_in_one_line() -> None:
+    assert comparison_line(_run(4, 8), {}) == comparison_line({}, _run(4)) == ""
+    assert comparison_line(_run(4, 8), _run(4, 8)) == "digests: 2 ticks, equal to the bit"
+    images = {(0, 8): [_physics(8), _image("/camera/image_raw", 3)]}
+    assert comparison_line({**_run(4), **images}, {**_run(4), **images}) == "digests: 2 ticks (1 with images), equal to the bit"
+    other = {**_run(4), (0, 8): [TickDigests(33_333_333, ("/odom", "/scene_state"), array("Q", [99, 7]))], **_run(12)}
+    first = "first difference: epoch 0, step 8, 0.0333 s, on /odom"
+    assert comparison_line(_run(4, 8, 12), other) == f"digests: 3 ticks, {first}"
+
+
+def test_ticks_of_one_bag_alone_are_counted() -> None:
+    assert comparison_line(_run(4, 8, 12), _run(4)) == "digests: 1 tick, equal to the bit; 2 only in the first bag"
+    assert comparison_line(_run(8), _run(4, 8, 12)) == "digests: 1 tick, equal to the bit; 2 only in the second bag"
+    assert comparison_line(_run(4), _run(8)) == "digests: no tick is in both bags"

@@ -11,6 +11,7 @@ import yaml
 
 from gibson_sim.bags.replaying import InputSchedule, RecordedInput, in_order, read_facts, read_run, with_starts
 from gibson_sim.bags.writer import BagWriter
+from gibson_sim.cli.main import main
 from gibson_sim.errors import RecordError
 
 NS = 1_000_000_000
@@ -94,6 +95,23 @@ def test_settings_journal_and_digests_of_a_run_are_read(messages: Any, tmp_path:
     assert run.end(240, 60) == (0, 8)
     facts = read_facts(bag.folder)
     assert (facts.has_journal, facts.has_digests, facts.has_commands) == (True, True, False)
+
+
+def test_a_comparison_of_two_bags_compares_their_digests(
+    messages: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in (("a", 1), ("b", 1), ("c", 2)):
+        with Bags(messages, tmp_path / name) as bag:
+            bag.digest(0, 4, NS, scene_state=5)
+            bag.digest(0, 8, 2 * NS, scene_state=value)
+    for other, line in (
+        ("b", "2 ticks, equal to the bit"),
+        ("c", "2 ticks, first difference: epoch 0, step 8, 2.0000 s, on /scene_state"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(["compare", str(tmp_path / "a"), str(tmp_path / other)])
+        assert end.value.code == 0
+        assert capsys.readouterr().out.endswith(f"note: digests: {line}\n")
 
 
 def test_recording_continued_in_other_bags_after_resets_is_one_run(messages: Any, tmp_path: Path) -> None:

@@ -42,6 +42,10 @@ class Difference:
     stamp_ns: int
     topics: tuple[str, ...]
 
+    def text(self) -> str:
+        """Returns the tick and its topics as text."""
+        return f"epoch {self.epoch}, step {self.step}, {self.stamp_ns / NS_PER_S:.4f} s, on {', '.join(self.topics)}"
+
 
 @dataclass(frozen=True, slots=True)
 class Verification:
@@ -84,10 +88,7 @@ class Verification:
         if self.missing_images or self.unknown_images:
             lines.append(f"not compared: {self.missing_images} images only in the bag, {self.unknown_images} only in the replay")
         if self.first is not None:
-            f = self.first
-            lines.append(
-                f"first difference: epoch {f.epoch}, step {f.step}, {f.stamp_ns / NS_PER_S:.4f} s, on {', '.join(f.topics)}"
-            )
+            lines.append(f"first difference: {self.first.text()}")
         for topic, number in sorted(self.differing.items()):
             lines.append(f"  {topic}: {number} of {self.compared[topic]} ticks differ")
         lines.append("equal to the bit" if self.is_equal else "NOT equal")
@@ -213,6 +214,28 @@ class DigestComparison:
             differing=dict(self._differing),
             compared=dict(self._compared),
         )
+
+
+def comparison_line(first: Mapping[Tick, Sequence[TickDigests]], second: Mapping[Tick, Sequence[TickDigests]]) -> str:
+    """Returns one line about two recorded runs: the number of ticks that both have, and whether these are equal; empty if one has no digests."""
+    if not (first and second):
+        return ""
+    comparison = DigestComparison(first)
+    for tick in sorted(second):
+        for digests in second[tick]:
+            comparison.add(tick, digests)
+    result = comparison.result()
+    if not result.ticks:
+        return "digests: no tick is in both bags"
+    images = f" ({result.images} with images)" if result.images else ""
+    verdict = "equal to the bit" if result.first is None else f"first difference: {result.first.text()}"
+    lengths = [sum(any(item.is_physics for item in digests) for digests in run.values()) for run in (first, second)]
+    more = [
+        f"; {n - result.ticks} only in the {which} bag"
+        for n, which in zip(lengths, ("first", "second"), strict=True)
+        if n > result.ticks
+    ]
+    return f"digests: {result.ticks} tick{'s' if result.ticks > 1 else ''}{images}, {verdict}{''.join(more)}"
 
 
 def _previous_ticks(images: Mapping[Tick, Mapping[str, int]]) -> dict[tuple[Tick, str], Tick]:

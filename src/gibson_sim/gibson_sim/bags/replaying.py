@@ -166,6 +166,19 @@ def read_facts(folder: str | Path) -> RunFacts:
     )
 
 
+def read_digests(folder: str | Path) -> dict[Tick, list[TickDigests]]:
+    """Returns the digests of each tick in one bag; empty if it was recorded without digests.
+
+    Raises:
+        RecordError: the bag cannot be read.
+    """
+    digests: dict[Tick, list[TickDigests]] = {}
+    with BagReader(folder) as bag:
+        for _, _, message in bag.messages([name for name, info in bag.topics().items() if info.type_name == _DIGEST]):
+            _add_digests(message, digests)
+    return digests
+
+
 def _is_journal(topic: str, type_name: str) -> bool:
     return type_name == _INPUT and topic.rpartition("/")[2] == _JOURNAL_TOPIC
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,9 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.bags.comparison.measure import Assumptions
     from gibson_sim.bags.comparison.robot_file import robot_file, write_fitted
     from gibson_sim.bags.comparison.topics import topic_options
+    from gibson_sim.bags.digest_comparison import comparison_line
     from gibson_sim.bags.plots.style import require_matplotlib
+    from gibson_sim.bags.replaying import read_digests
     from gibson_sim.scenes.robot_files import load_robot
 
     if args.output is not None and not args.fit:
@@ -76,6 +79,8 @@ def _run(args: argparse.Namespace) -> ExitCode:
     assumptions = Assumptions(args.gravity, args.cmd_vel_timeout, args.step_hz)
     real, sim = (load_recording(folder, topics[side]) for folder, side in ((args.real, "real"), (args.sim, "sim")))
     comparison = compare(real, sim, robot, assumptions, args.align)
+    if line := comparison_line(read_digests(args.real), read_digests(args.sim)):
+        comparison = replace(comparison, notes=(*comparison.notes, line))
     print(text_table(comparison))
     for note in comparison.notes:
         print(f"note: {note}")
