@@ -375,14 +375,18 @@ localised = _options("--publish-map-tf", "--no-render")
 
 
 @localised
-def test_our_map_is_withdrawn_once_another_node_publishes_one(sim: Launched, listener: Listener) -> None:
+def test_our_map_is_withdrawn_while_another_node_publishes_one(sim: Launched, listener: Listener) -> None:
     maps = listener.collect(OccupancyGrid, "map", LATCHED)
     listener.spin_until(lambda: bool(maps), "our map")
     publisher = listener.node.create_publisher(OccupancyGrid, "map", LATCHED)
     listener.spin_until(lambda: listener.node.count_publishers("map") == 2, "both maps")
     listener.spin_until(lambda: listener.node.count_publishers("map") == 1, "a map that gives way")
     sim.wait_for_line("ours is withdrawn")
+    received = len(maps)
     listener.node.destroy_publisher(publisher)
+    sim.wait_for_line("ours is published again")
+    listener.spin_until(lambda: len(maps) > received, "our map again")
+    assert maps[-1] == maps[0]
 
 
 @localised

@@ -66,6 +66,10 @@ def _texts(messages: list[Any]) -> list[str]:
     return [message.data for message in messages]
 
 
+def _publishes(listener: Listener, topic: str) -> bool:
+    return bool(listener.node.count_publishers(topic))
+
+
 def _until_ended(listener: Listener, playing: Launched) -> None:
     listener.spin_until(lambda: playing.process.poll() is not None, "end of the playback")
     assert playing.wait() == 0, "\n".join(playing.lines)
@@ -172,6 +176,8 @@ def test_other_publishers_are_reported_and_a_second_clock_is_refused(listener: L
     (warning,) = [line for line in playing.lines if line.startswith("WARN")]
     assert warning.startswith("WARN other nodes publish /text, too: subscribers receive both")
     clocked = play("--clock", "--wait-for", "/text")
+    listener.spin_until(lambda: clocked.process.poll() is not None or _publishes(listener, "/room"), "the refusal")
+    assert not _publishes(listener, "/room")  # a simulation would withdraw its map for that of the bag
     assert clocked.wait() == 1
     assert clocked.lines[-1].startswith("error: another node publishes /clock in this ROS domain")
     assert publishers

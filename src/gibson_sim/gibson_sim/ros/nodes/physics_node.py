@@ -164,9 +164,12 @@ class PhysicsNode(Node):
             self._ticks.discard_held()
         kept = set() if world is None or new else {robot.name for robot in world.scene.robots}
         for name in [name for name in self._robots if name not in kept]:
-            self._robots.pop(name).close()
+            robot_topics = self._robots.pop(name)
+            self._stats.remove_robot(robot_topics)
+            robot_topics.close()
         if world is None:
             return
+        self._stats.begin_scene(world.scene.name)
         for robot in world.scene.robots:
             if robot.name not in self._robots:
                 self._robots[robot.name] = RobotInterface(
@@ -224,7 +227,7 @@ class PhysicsNode(Node):
         self.create_timer(1.0, self._report, clock=steady)
         assert self._guard is not None, "it was acquired in the constructor"
         self._guard.watch()
-        self.create_timer(1.0, self._world_topics.withdraw_map, clock=steady)
+        self.create_timer(1.0, self._world_topics.update_map, clock=steady)
         self.create_timer(1.0, self._incompatible.check, clock=steady)
         self._stats.restart(self._stamp_ns)
         while is_running() and not self._done:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -40,8 +40,20 @@ class PhysicsStats:
         self._last_step, self._last_report = (0, 0), (0, 0)
         self._earlier_ns = 0
         """Total simulation time of earlier epochs by which resets have set time back, ns."""
+        self._scene = ""
+        """Name of the last scene."""
+        self._earlier_commands: dict[str, int] = _commands(())
+        """Counters of the robots that were removed."""
         self._factor_pub = node.create_publisher(Float64, names.REAL_TIME_FACTOR, qos.STATE)
         self._diagnostics_pub = node.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
+
+    def begin_scene(self, name: str) -> None:
+        """Records the name of the scene, which the summary names also if it has been unloaded."""
+        self._scene = name
+
+    def remove_robot(self, robot: RobotInterface) -> None:
+        """Keeps the counters of a robot that is removed."""
+        self._earlier_commands = _commands((robot,), self._earlier_commands)
 
     def begin_step(self, now_ns: int, stamp_ns: int) -> None:
         """Records the start of a step at ``now_ns``, monotonic clock, in a world at ``stamp_ns``."""
@@ -74,7 +86,7 @@ class PhysicsStats:
             "epoch": simulator.epoch,
             "lost_wall_time_s": f"{self._pacer.lost_ns / NS_PER_S:.3f}",
             "entities": len(simulator.world.names) if simulator.world is not None else 0,
-            **_commands(robots),
+            **_commands(robots, self._earlier_commands),
             "missed_measurements": sum(sum(robot.sensors.misses.values()) for robot in robots),
             "late_inputs": self._journal.late,
         }
@@ -113,14 +125,14 @@ class PhysicsStats:
         sim_s = (self._last_step[1] + self._earlier_ns - first[1]) / NS_PER_S
         world, robots = self._simulator.world, tuple(robots)
         return {
-            "scene": self._simulator.scene.name,
+            "scene": self._scene,
             "simulation_time_s": sim_s,
             "wall_time_s": wall_s,
             "real_time_factor": sim_s / wall_s if wall_s else 0.0,
             "physics_steps": 0 if world is None else world.step_count,
             "step_hz": self._config.step_hz,
             "lost_wall_time_s": self._pacer.lost_ns / NS_PER_S,
-            **_commands(robots),
+            **_commands(robots, self._earlier_commands),
             "missed_measurements": {robot.robot.name: robot.sensors.misses for robot in robots},
             **({} if self._gate is None else {"lockstep": self._gate.summary()}),
         }
@@ -135,7 +147,8 @@ def loaded_note(scene: SceneSpec, cameras: Iterable[CameraSpec]) -> str:
     return json.dumps({"scene": scene.name, "robots": robots, "cameras": camera_values})
 
 
-def _commands(robots: Iterable[RobotInterface]) -> dict[str, int]:
-    """Returns the number of commands that the robots received, and of those that were refused."""
+def _commands(robots: Iterable[RobotInterface], earlier: Mapping[str, int] | None = None) -> dict[str, int]:
+    """Returns the number of commands that the robots received, and of those that were refused, added to ``earlier`` ones."""
     counts = [(robot.command_count, robot.refused_commands) for robot in robots]
-    return {"commands": sum(count for count, _ in counts), "refused_commands": sum(refused for _, refused in counts)}
+    sums = {"commands": sum(count for count, _ in counts), "refused_commands": sum(refused for _, refused in counts)}
+    return {name: value + (earlier or {}).get(name, 0) for name, value in sums.items()}

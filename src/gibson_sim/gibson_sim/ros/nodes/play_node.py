@@ -57,7 +57,7 @@ class BagPlayer(Node):
     """
 
     def __init__(self, options: PlayOptions) -> None:
-        """Opens the bag, and creates the publishers.
+        """Opens the bag, and selects the topics.
 
         Raises:
             GibsonSimError: the bag cannot be read, or nothing of it can be played.
@@ -69,11 +69,9 @@ class BagPlayer(Node):
         self._bag: BagReader | None = BagReader(options.bag)
         try:
             self._span = played_span(self._bag, options)
-            self._topics: list[PlayedTopic] = []
+            self._topics = [topic for topic in select_topics(self._bag, options) if self._is_installed(topic)]
             self._publishers_of: dict[str, Publisher] = {}
             """Topic of the bag -> publisher."""
-            for topic in select_topics(self._bag, options):
-                self._add(topic)
             if not self._topics:
                 raise EnvironmentProblemError(f"no message type of bag {options.bag} is installed in this environment")
             if CLOCK in self._bag.topics() and not options.clock:
@@ -89,24 +87,26 @@ class BagPlayer(Node):
         self._late_s = 0.0
         """Delay of the last message, s of wall time."""
 
-    def _add(self, topic: PlayedTopic) -> None:
-        """Creates the publisher of a topic; warns if its type is not installed."""
+    def _is_installed(self, topic: PlayedTopic) -> bool:
+        """Returns whether the type of a topic is installed; warns if not."""
         try:
-            message_type = message_class(topic.type_name)
+            message_class(topic.type_name)
         except UNKNOWN:
             self.get_logger().warning(f"{topic.name} is not played: its type {topic.type_name} is not installed here")
-            return
-        self._publishers_of[topic.name] = self.create_publisher(message_type, topic.published_as, _profile(topic.qos))
-        self._topics.append(topic)
+            return False
+        return True
 
     def spin(self) -> int:
         """Plays the bag until its end or the end of the context; returns the exit code."""
         self._check_required_subscribers()
+        if self._options.clock:
+            # Before any publisher exists: a simulation withdraws its map for that of the bag, and one that has just started ends if it
+            # sees a second clock.
+            self._wait_for_discovery()
+            self._check_other_publishers()
+        self._create_publishers()
         self._wait_for_discovery()
         self._check_other_publishers()
-        if self._options.clock:
-            # Only now: a simulation that has just started ends if it sees a second publisher.
-            self._publishers_of[CLOCK] = self.create_publisher(Clock, CLOCK, qos.CLOCK)
         self._wait_for_subscribers()
         if not is_running():
             _say("stopped before the first message")
@@ -132,9 +132,17 @@ class BagPlayer(Node):
 
     # Start
 
+    def _create_publishers(self) -> None:
+        """Creates the publishers of all topics, and of the clock."""
+        for topic in self._topics:
+            kind = message_class(topic.type_name)
+            self._publishers_of[topic.name] = self.create_publisher(kind, topic.published_as, _profile(topic.qos))
+        if self._options.clock:
+            self._publishers_of[CLOCK] = self.create_publisher(Clock, CLOCK, qos.CLOCK)
+
     def _check_required_subscribers(self) -> None:
         """Raises ConfigError if --wait-for has a topic that is not played."""
-        played = {publisher.topic_name for publisher in self._publishers_of.values()} | (
+        played = {self.resolve_topic_name(topic.published_as) for topic in self._topics} | (
             {CLOCK} if self._options.clock else set()
         )
         unknown = sorted(self._options.required_subscribers().keys() - played)

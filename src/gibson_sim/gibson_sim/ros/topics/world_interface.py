@@ -51,6 +51,8 @@ class WorldInterface:
         self._state_pub = node.create_publisher(SceneState, names.SCENE_STATE, **qos.overridable(qos.STATE))
         self._epoch_pub = node.create_publisher(Epoch, names.EPOCH, **qos.overridable(qos.LATCHED))
         self._maps: dict[str, Publisher] = {}
+        self._map: OccupancyGrid | None = None
+        """The present world's message on ``map``, which is published unless it is withdrawn; None = there is none."""
         self._map_withdrawn = False
         self._state_layout: FastSceneState | None = None
         self._layout_revision = -1
@@ -131,12 +133,12 @@ class WorldInterface:
     def publish_map(self, world: PhysicsWorld) -> None:
         """Publishes the maps of the world's floors; publishes the topic ``map`` only while it has no other publisher."""
         self._destroy_maps()
+        self._map = None
         if self._config.map == "off":
             return
         scene = world.scene
         floors = {names.floor_map(i): z for i, z in enumerate(scene.floors)} if len(scene.floors) > 1 else {}
-        if not self._has_other_publisher(own_count=0):
-            floors[names.MAP] = scene.floor_z
+        floors[names.MAP] = scene.floor_z
         height = max((robot.height for robot in scene.robots), default=_MAP_HEIGHT)
         for topic, floor_z in floors.items():
             level = replace(scene, floor_z=floor_z)
@@ -145,13 +147,30 @@ class WorldInterface:
             except GibsonSimError as error:
                 logger.warning("no map is published on %s: %s", topic, error)
                 continue
-            self._maps[topic] = self._node.create_publisher(OccupancyGrid, topic, **qos.overridable(qos.LATCHED))
-            self._maps[topic].publish(conversions.floor_map_to_msg(floor, floor_z, world.stamp_ns, WORLD_FRAME))
+            message = conversions.floor_map_to_msg(floor, floor_z, world.stamp_ns, WORLD_FRAME)
+            if topic == names.MAP:
+                self._map = message
+                if self._has_other_publisher(own_count=0):
+                    continue
+            self._publish_on(topic, message)
 
-    def withdraw_map(self) -> None:
-        """Withdraws ``map`` once another node publishes it: subscribers would receive both, in any order."""
-        if names.MAP in self._maps and self._has_other_publisher(own_count=1):
-            self._node.destroy_publisher(self._maps.pop(names.MAP))
+    def update_map(self) -> None:
+        """Withdraws ``map`` once another node publishes it: subscribers would receive both, in any order. Publishes it again once none does.
+
+        In lockstep the map stays withdrawn, since the tick at which a publisher disappears is not repeatable.
+        """
+        if names.MAP in self._maps:
+            if self._has_other_publisher(own_count=1):
+                self._node.destroy_publisher(self._maps.pop(names.MAP))
+        elif self._map_withdrawn and not self._config.lockstep and not self._node.count_publishers(names.MAP):
+            self._map_withdrawn = False
+            if self._map is not None:
+                self._publish_on(names.MAP, self._map)
+                self._node.get_logger().info("no other node publishes the map any more: ours is published again")
+
+    def _publish_on(self, topic: str, message: OccupancyGrid) -> None:
+        self._maps[topic] = self._node.create_publisher(OccupancyGrid, topic, **qos.overridable(qos.LATCHED))
+        self._maps[topic].publish(message)
 
     def _destroy_maps(self) -> None:
         while self._maps:
