@@ -28,6 +28,9 @@ _ACTION_TOPICS = ("feedback", "status")
 ONLY_SOMETIMES = {
     ("task", "subscribe", "/joint_states"),  # tasks with an arm
     ("task", "subscribe", "/grasp_state"),
+    ("drive", "subscribe", "/run_info"),  # a tour without --scene and --robot
+    ("drive", "request", "/get_current_world"),
+    ("drive", "request", "/get_simulation_state"),  # if no pose arrives
     ("web", "publish", "/cmd_vel"),  # a page drives
     ("web", "publish", "/goal_pose"),
     ("web", "publish", "/initialpose"),

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from gibson_sim.config import DEFAULT_SCENE, VIEWS, PhysicsConfig, RenderConfig, outputs_of, size_of
+from gibson_sim.config import VIEWS, PhysicsConfig, RenderConfig, outputs_of, size_of
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.settings import check_settings, setting
@@ -27,8 +27,12 @@ class DriveConfig:
     drive: str = setting(
         "tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`", names="drive"
     )
-    scene: str = setting(DEFAULT_SCENE, "Scene to plan the tour in; only for tour", names="scene")
-    robot: str = setting("gibson_bot", "Robot whose size sets the clearance of the tour; only for tour", names="robots")
+    scene: str = setting("", "Scene to plan the tour in; empty = that of the running simulation; only for tour", names="scene")
+    robot: str = setting(
+        "",
+        "Robot whose size sets the clearance of the tour; empty = the one that the simulation was started with; only for tour",
+        names="robots",
+    )
     length: float = setting(
         0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0
     )

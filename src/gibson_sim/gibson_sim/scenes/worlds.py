@@ -108,6 +108,12 @@ def find_world(uri: str) -> WorldEntry | None:
     return _world(files[0]) if len(files) == 1 else None
 
 
+def absolute_uri(name_or_path: str) -> str:
+    """Returns the name of a built-in scene unchanged, and the absolute path of any other: a client has another current folder."""
+    path = Path(name_or_path).expanduser()
+    return name_or_path if name_or_path in known_scenes() or not exists(path) else str(path.absolute())
+
+
 def worlds_below(
     sources: Sequence[str], *, continue_on_error: bool = False, search: Search | None = None
 ) -> tuple[WorldEntry, ...]:

@@ -85,7 +85,7 @@ class Simulator:
         self.last_reset = LastReset()
         """The reset or load that began the newest epoch."""
         if scene is not None:
-            self._enter(scene, uri=config.scene)
+            self._enter(scene, uri=worlds.absolute_uri(config.scene))
             self.epoch = 0
             self._state = SimulationState.STOPPED if config.start_paused else SimulationState.PLAYING
 
@@ -208,7 +208,7 @@ class Simulator:
         if self._state is not SimulationState.PAUSED:
             raise SimulationError(
                 Result.OPERATION_FAILED,
-                f"the simulation is {self._state.name}, must be PAUSED to step: set its state first",
+                f"the simulation is {self._state.name}, must be PAUSED to step: pause it first, as with `gibson-sim pause`",
             )
         request = StepRequest(steps, on_progress, on_end)
         self._steps.add(request)

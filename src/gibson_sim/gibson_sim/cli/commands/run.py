@@ -192,7 +192,7 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
     if args.drive:
         topics = [topic.lstrip("/") for topic in job.configs["record"].wanted_topics()] if job.bag else ["none"]
         recorded = not topics or "cmd_vel" in topics
-        job.configs["drive"] = _drive_settings(args, physics_config.cmd_vel_type, subscribers=1 + recorded)
+        job.configs["drive"] = _drive_settings(args, physics_config, subscribers=1 + recorded)
     if args.web or args.web_host or args.web_port is not None:
         job.configs["web"] = _web_settings(args)
         waits[WEB] = 1
@@ -234,17 +234,17 @@ def _foxglove_settings(args: argparse.Namespace) -> FoxgloveConfig:
     return config if is_free(config.host, config.port) else replace(config, port=0)
 
 
-def _drive_settings(args: argparse.Namespace, cmd_vel_type: str, subscribers: int) -> DriveConfig:
+def _drive_settings(args: argparse.Namespace, physics: PhysicsConfig, subscribers: int) -> DriveConfig:
     """Returns the settings of the drive: a tour as long as the duration allows, with a command type that the robot accepts."""
-    given: dict[str, Any] = {"subscribers": subscribers}
+    given: dict[str, Any] = {"subscribers": subscribers, "scene": physics.scene, "robot": physics.robot}
     if args.drive == "keyboard":
         raise ConfigError("--drive keyboard needs the terminal: run `gibson-sim drive keyboard` in a second one")
     config = settings_from_args(DriveConfig, args)
     if args.duration and args.length is None and args.drive == "tour":
         given["length"] = max(1.0, args.duration * config.linear)
-    if cmd_vel_type == "stamped":
+    if physics.cmd_vel_type == "stamped":
         given["stamped"] = True
-    elif cmd_vel_type == "twist" and config.stamped:
+    elif physics.cmd_vel_type == "twist" and config.stamped:
         raise ConfigError("--stamped sends TwistStamped, which --cmd-vel-type twist does not receive: leave one of them out")
     return settings_from_args(DriveConfig, args, **given)
 

@@ -16,12 +16,14 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
 from gibson_sim.client_config import DriveConfig
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.maps.tour import plan_tour
 from gibson_sim.robots import load
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
 from gibson_sim.ros import conversions
+from gibson_sim.ros.client.simulated_world import SimulatedWorld
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.ros.nodes.node_main import run_node, spin_while, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
@@ -31,12 +33,15 @@ from gibson_sim.ros.topics.discovery import wait_until_acknowledged
 from gibson_sim.ros.topics.silence import SilenceNotice
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.scenes.spec import SceneSpec
 
 KEYS = {"w": (1, 0), "x": (-1, 0), "a": (0, 1), "d": (0, -1), "q": (1, 1), "e": (1, -1), "s": (0, 0), " ": (0, 0)}
 """Key -> signs of the linear and the angular velocity."""
 KEY_HELP = "w forward, x backward, a/d turn left/right, q/e forward and turn, s or space stop, Ctrl-C end"
 TOUR_LENGTH, FORWARD_LENGTH = 30.0, 2.0
 """Default length of a tour and of other drives, m."""
+_ANSWER_TIMEOUT_S = 5.0
+"""Timeout for the names of the scene and the robot of a simulation, s of wall time."""
 _MATCH_TIMEOUT_S, _LAUNCHED_MATCH_TIMEOUT_S = 10.0, 60.0
 """Timeouts for the matching of all subscribers of the commands, s of wall time: normally, and under the launcher, which may start a recorder."""
 
@@ -48,7 +53,7 @@ class DriveNode(Node):
 
     Subscribes:
         ground_truth/odom (nav_msgs/Odometry): the robot's pose; each message causes one command, so the drive follows
-            simulation time at any rate.
+            simulation time at any rate. For a tour without ``scene`` or ``robot``: the topics and services of ``SimulatedWorld``.
 
     Publishes:
         cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``); tick_done (gibson_msgs/TickDone), for lockstep.
@@ -63,7 +68,11 @@ class DriveNode(Node):
         super().__init__("drive", **kwargs)
         self._config = config = config_from_parameters(self, DriveConfig)
         self._drive: _Drive | None = None
-        self._map = None
+        self._map: FloorMap | None = None
+        self._radius = 0.0
+        self._world: SimulatedWorld | None = None
+        """World that a tour is planned in; None = the settings name it."""
+        self._answer: WaitCondition | None = None
         if config.drive == "keyboard":
             if not sys.stdin.isatty():
                 raise ConfigError("drive 'keyboard' needs a terminal on standard input; from a script use --drive with a file")
@@ -71,22 +80,56 @@ class DriveNode(Node):
         elif config.drive == "tour":
             for module in (load_scene.__module__, load.__name__):
                 logging.getLogger(module).setLevel(logging.ERROR)  # the physics node logs the same warnings
-            robot = load_robot(config.robot)
-            self._map, self._radius = furnished_floor_map(load_scene(config.scene), robot), robot.radius
+            if config.scene and config.robot:
+                self._load_map(load_scene(config.scene), config.robot)
+            else:
+                self._world = SimulatedWorld(self)
         else:
             length = config.length or FORWARD_LENGTH
             self._drive = _ScriptDrive(scripted_drive(config.drive, linear=config.linear, angular=config.angular, length=length))
         self._message_type = TwistStamped if config.stamped else Twist
         self._publisher = self.create_publisher(self._message_type, names.CMD_VEL, qos.COMMAND)
-        self._simulation = WaitCondition.for_simulation(self, names.GROUND_TRUTH, config.timeout)
+        self._simulation = WaitCondition.for_robot(self, names.GROUND_TRUTH, config.timeout)
         self._done, self._started, self._sent = False, False, 0
         self._start_by: float | None = None
         self._silence: SilenceNotice | None = None
         self._lockstep: LockstepParticipant | None = None
 
+    def _load_map(self, scene: SceneSpec, robot_name: str) -> None:
+        """Computes the map that a tour is planned in."""
+        robot = load_robot(robot_name)
+        self._map, self._radius = furnished_floor_map(scene, robot), robot.radius
+
+    def _has_map(self) -> bool:
+        """Returns whether the drive needs no map, or has it; requests the names of scene and robot that the settings do not give.
+
+        Raises:
+            GibsonSimError: the simulation does not name them, or their files cannot be read here.
+        """
+        world, config = self._world, self._config
+        if world is None or self._map is not None:
+            return True
+        if self._answer is None:
+            self._answer = WaitCondition(
+                self,
+                "the simulation to name its scene and its robot",
+                world.is_known,
+                timeout_s=_ANSWER_TIMEOUT_S,
+                remedy="name them with --scene and --robot",
+            )
+        if not self._answer.is_met():
+            return False
+        try:
+            scene = load_scene(config.scene) if config.scene else world.load_scene()
+            self._load_map(scene, config.robot or world.robot)
+        except GibsonSimError as error:
+            raise GibsonSimError(f"{error}; name the scene with --scene, the robot with --robot") from error
+        self.get_logger().info(f"the tour is planned in scene {scene.name}")
+        return True
+
     def _try_to_start(self) -> None:
         """Starts once the simulation runs and all subscribers of the commands are matched; time waits for that."""
-        if self._started or not self._simulation.is_met():
+        if self._started or not self._simulation.is_met() or not self._has_map():
             return
         if self._start_by is None:
             self._start_by = time.monotonic() + (_LAUNCHED_MATCH_TIMEOUT_S if started_by_launcher() else _MATCH_TIMEOUT_S)

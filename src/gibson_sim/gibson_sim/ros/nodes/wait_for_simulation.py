@@ -11,7 +11,9 @@ from rclpy.node import Node
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.reach import is_local
 from gibson_sim.ros.nodes.node_main import started_by_launcher
+from gibson_sim.ros.topics.discovery import offered_service
 
+_STATE_TYPE = "simulation_interfaces/srv/GetSimulationState"
 LOG_AFTER_S = 2.0
 """Time after which a node logs the condition that it waits for, s of wall time."""
 
@@ -32,7 +34,7 @@ class WaitCondition:
         condition: Callable[[], bool],
         *,
         timeout_s: float = 0.0,
-        remedy: str = "",
+        remedy: str | Callable[[], str] = "",
     ) -> None:
         """Starts the timeout.
 
@@ -41,13 +43,35 @@ class WaitCondition:
             awaited: completes ``waiting for <awaited>``; or a function that returns it.
             condition: returns whether the node can work.
             timeout_s: time after which the node gives up, s of wall time; 0 = never.
-            remedy: hint for the user.
+            remedy: hint for the user; or a function that returns it.
         """
         self._node, self._awaited, self._condition, self._timeout_s = node, awaited, condition, timeout_s
-        self._remedy = f"; {remedy}" if remedy else ""
+        self._remedy = remedy
         self._start = time.monotonic()
         self._logged = started_by_launcher()
         self._met = False
+
+    @classmethod
+    def for_robot(cls, node: Node, topic: str, timeout_s: float = 0.0) -> WaitCondition:
+        """Returns the condition that a robot of a simulation publishes ``topic``; as ``for_simulation``, but a world may have no robot."""
+        topic, domain = node.resolve_topic_name(topic), node.context.get_domain_id()
+
+        def simulation_runs() -> bool:
+            return bool(offered_service(node, _STATE_TYPE))
+
+        return cls(
+            node,
+            lambda: (
+                f"a robot that publishes {topic}: the simulation in ROS domain {domain} has none"
+                if simulation_runs()
+                else f"a simulation that publishes {topic} in ROS domain {domain}"
+            ),
+            lambda: node.count_publishers(topic) > 0,
+            timeout_s=0.0 if started_by_launcher() else timeout_s,
+            remedy=lambda: (
+                "`gibson-sim spawn gibson_bot --at X,Y` adds one" if simulation_runs() else f"start one with {start_hint()}"
+            ),
+        )
 
     @classmethod
     def for_simulation(cls, node: Node, topic: str, timeout_s: float = 0.0, *, alternative: str = "") -> WaitCondition:
@@ -77,11 +101,12 @@ class WaitCondition:
             self._met = True
             return True
         waited_s = time.monotonic() - self._start
-        awaited = self._awaited if isinstance(self._awaited, str) else self._awaited()
+        awaited, remedy = (text if isinstance(text, str) else text() for text in (self._awaited, self._remedy))
+        awaited = f"{awaited}; {remedy}" if remedy else awaited
         if self._timeout_s and waited_s > self._timeout_s:
-            raise GibsonSimError(f"waited {self._timeout_s:g} s for {awaited}{self._remedy}")
+            raise GibsonSimError(f"waited {self._timeout_s:g} s for {awaited}")
         if not self._logged and waited_s > LOG_AFTER_S:
             self._logged = True
             limit = f", at most {self._timeout_s:g} s," if self._timeout_s else ""
-            self._node.get_logger().info(f"waiting{limit} for {awaited}{self._remedy}")
+            self._node.get_logger().info(f"waiting{limit} for {awaited}")
         return False

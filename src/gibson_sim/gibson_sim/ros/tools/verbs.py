@@ -5,20 +5,25 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from simulation_interfaces.msg import SimulationState
-from simulation_interfaces.srv import LoadWorld
+from simulation_interfaces.srv import GetAvailableWorlds, LoadWorld
 
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.errors import GibsonSimError, SceneNotFoundError
+from gibson_sim.quoting import quoted
+from gibson_sim.resources import find_scene
 from gibson_sim.ros.client.requests import flat_pose
 from gibson_sim.ros.client.standard_services import StandardServices
 from gibson_sim.ros.tools.hints import simulation_runs, spawned_as
 from gibson_sim.ros.tools.tool import Tool
 from gibson_sim.ros.topics import names
+from gibson_sim.scenes.load import description_file
 from gibson_sim.scenes.spawning import built_in_spawnables, spawn_name
+from gibson_sim.settings import nearest
 from gibson_sim.types import WORLD_FRAME
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -71,7 +76,13 @@ def reset(tool: Tool) -> str:
 
 
 def load(tool: Tool, world: str) -> str:
-    """Loads another scene; returns the text to print."""
+    """Loads another scene; returns the text to print.
+
+    Raises:
+        GibsonSimError: the scene does not exist, or cannot be loaded. The service unloads the present world before it searches the scene,
+            so a name is checked before.
+    """
+    _check_scene_name(tool, world)
     request = LoadWorld.Request()
     if hasattr(request, "world_resource"):  # 2.x
         request.world_resource.uri = world
@@ -100,6 +111,21 @@ def goal(tool: Tool, at: tuple[float, float, float]) -> str:
     publisher.publish(message)
     publisher.wait_for_all_acked()
     return f"sent goal {at[0]:g},{at[1]:g}"
+
+
+def _check_scene_name(tool: Tool, world: str) -> None:
+    """Raises GibsonSimError if ``world`` is a bare name, and neither a scene that is found here nor one that the simulation lists."""
+    if "/" in world or Path(world).suffix:  # a URI or a file, which only the simulation can resolve
+        return
+    try:
+        description_file(find_scene(world))
+    except SceneNotFoundError:
+        listed = tool.call("get_available_worlds", GetAvailableWorlds, GetAvailableWorlds.Request()).worlds
+        known = sorted({name for entry in listed for name in (entry.name, entry.world_resource.uri) if "/" not in name})
+        if world not in known:
+            hint = nearest(world, known)
+            text = f"scene {quoted(world)} does not exist; {f'{hint} ' if hint else ''}known: {', '.join(known) or 'none'}"
+            raise GibsonSimError(f"{text}. The present world stays loaded") from None
 
 
 def _with_hint(services: StandardServices, name: str, act: Callable[[], None]) -> None:

@@ -26,6 +26,12 @@ _ACKNOWLEDGE_TIMEOUT_S = 1.0
 """Timeout for the acknowledgement of the last messages, s of wall time: a subscriber that was killed never acknowledges."""
 
 
+def offered_service(node: Node, type_name: str) -> str:
+    """Returns the name of a service of a type that another node offers; empty = there is none."""
+    services = node.get_service_names_and_types()
+    return next((name for name, types in services if type_name in types and node.count_services(name)), "")
+
+
 def is_fully_matched(node: Node, publisher: Publisher) -> bool:
     """Returns whether a publisher is matched with all discovered subscribers of its topic, so that they receive its later messages.
 

@@ -9,6 +9,8 @@ from rclpy.node import Node
 from simulation_interfaces.msg import SimulationState
 from simulation_interfaces.srv import GetSimulationState
 
+from gibson_sim.ros.topics.discovery import offered_service
+
 SILENT_S = 3.0
 """Time without a message after which the cause is reported, s of wall time."""
 _ANSWER_S = 5.0
@@ -55,7 +57,7 @@ class SilenceNotice:
         if not self._by_simulation():
             self._conclude("")
             return
-        if self._client is None and (name := self._service()):
+        if self._client is None and (name := offered_service(self._node, _TYPE)):
             self._client = self._node.create_client(GetSimulationState, name)
         if self._answer is None and self._client is not None and self._client.service_is_ready():
             self._answer = self._client.call_async(GetSimulationState.Request())
@@ -63,11 +65,6 @@ class SilenceNotice:
             self._conclude(_HALTED.get(self._answer.result().state.state, ""))
         elif waited_s > SILENT_S + _ANSWER_S:
             self._conclude("")
-
-    def _service(self) -> str:
-        """Returns the name of the service that returns the state; empty = there is none."""
-        services = self._node.get_service_names_and_types()
-        return next((name for name, types in services if _TYPE in types and self._node.count_services(name)), "")
 
     def _conclude(self, halted: str) -> None:
         self._ended = True

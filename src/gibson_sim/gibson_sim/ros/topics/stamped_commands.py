@@ -65,6 +65,7 @@ class StampedCommands:
 
     def unsubscribe(self, subscription: Any) -> None:
         """Ends a subscription."""
+        self.types.pop(subscription.topic_name, None)
         self._node.destroy_subscription(subscription)
 
     def _spin(self) -> None:
