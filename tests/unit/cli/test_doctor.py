@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 from gibson_sim.cli.commands import doctor
+from gibson_sim.processes.domain_lock import DomainLock
 
 UUID = "01234567-89ab-cdef-0123-456789abcdef"
 OTHER = "fedcba98-7654-3210-fedc-ba9876543210"
@@ -114,3 +116,19 @@ def test_interfaces_whose_packets_reach_the_loopback_are_named(tmp_path: Path) -
         (tmp_path / name / "route_localnet").write_text(f"{value}\n")
     assert doctor._routed_localnet(tmp_path) == "cni0"
     assert doctor._routed_localnet(tmp_path / "nothing") == ""
+
+
+def test_an_occupied_domain_can_be_exchanged_as_the_message_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    parser = argparse.ArgumentParser()
+    doctor.add_parser(parser.add_subparsers())
+    assert parser.parse_args(["doctor"]).domain_id is None
+    monkeypatch.setenv("ROS_DOMAIN_ID", "229")
+    lock = DomainLock(229)
+    try:
+        (occupied,) = doctor._domain(None)
+    finally:
+        lock.close()
+    (free,) = doctor._domain(parser.parse_args(["doctor", "--domain-id", "228"]).domain_id)
+    (wrong,) = doctor._domain(999)
+    assert [finding.status for finding in (occupied, free, wrong)] == ["warn", "ok", "FAIL"]
+    assert "--domain-id" in occupied.detail and free.detail.startswith("ROS_DOMAIN_ID 228, ")

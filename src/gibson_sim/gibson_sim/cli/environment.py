@@ -19,13 +19,18 @@ from gibson_sim.reach import REACHES
 
 def add_network(parser: argparse._ActionsContainer) -> None:
     """Adds the options of ROS domain and reach for ``environment_of``."""
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    add_domain(parser)
     parser.add_argument(
         "--reach",
         choices=REACHES,
         help="who can reach the nodes: processes of this machine only, or all machines of the network (default: local, unless "
         "variables of ROS or Fast DDS in the environment decide)",
     )
+
+
+def add_domain(parser: argparse._ActionsContainer) -> None:
+    """Adds the option of the ROS domain."""
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
 
 
 def environment_of(args: argparse.Namespace) -> dict[str, str]:

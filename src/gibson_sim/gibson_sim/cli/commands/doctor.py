@@ -15,11 +15,12 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from gibson_sim import __version__
-from gibson_sim.cli.environment import domain_of, in_wheels, node_environment
+from gibson_sim.cli.environment import add_domain, domain_of, in_wheels, node_environment
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
 from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.reach import PROFILE_VARIABLE, SUBNET, describe_reach, is_local, profile_of, reach_of
@@ -48,13 +49,15 @@ def add_parser(subparsers: Any) -> None:
         "doctor", help="check Python, ROS, graphics, DDS and disk, and say how to fix what does not work"
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_domain(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Prints the findings; returns 1 if a check fails."""
     findings = []
-    for check in (_python, _ros, _physics, _loops, _graphics, _dds, _shared_memory, _disk, _scenes, _domain):
+    domain = partial(_domain, args.domain_id)
+    for check in (_python, _ros, _physics, _loops, _graphics, _dds, _shared_memory, _disk, _scenes, domain):
         for finding in check():
             findings.append(finding)
             if not args.json:
@@ -281,13 +284,14 @@ def _scenes() -> Iterator[Finding]:
     yield Finding("scenes", "ok" if names else "warn", f"{names or 'none'} (by name; any folder or file works too)", remedy)
 
 
-def _domain() -> Iterator[Finding]:
+def _domain(requested: int | None) -> Iterator[Finding]:
+    """Checks whether a simulation can start in the requested ROS domain; None = that of the environment."""
     try:
-        domain_id = domain_of(os.environ)
+        domain_id = domain_of(os.environ if requested is None else {"ROS_DOMAIN_ID": str(requested)})
         DomainLock(domain_id).close()
     except AlreadyRunningError as error:
         yield Finding("domain", "warn", str(error))
     except GibsonSimError as error:
-        yield Finding("domain", "FAIL", str(error), "unset ROS_DOMAIN_ID")
+        yield Finding("domain", "FAIL", str(error), "unset ROS_DOMAIN_ID" if requested is None else "choose another one")
     else:
         yield Finding("domain", "ok", f"ROS_DOMAIN_ID {domain_id}, no Gibson Sim simulation runs in it")
