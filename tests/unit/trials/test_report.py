@@ -91,7 +91,7 @@ def test_the_plan_is_a_line_a_run() -> None:
     heading, line = plan_table(
         [spec(7, start=(1.0, -0.0, math.pi / 2), drawn={"slip": 0.1234}, closed_doors=("d",))]
     ).splitlines()
-    assert heading.split() == ["run", "scene", "robot", "start", "goal", "shortest", "seed", "and"]
+    assert heading.split(maxsplit=7) == ["run", "scene", "robot", "start", "goal", "shortest", "seed", "obstacles, random values"]
     assert line.split(maxsplit=8) == [
         "7",
         "linden_flat",
@@ -103,6 +103,11 @@ def test_the_plan_is_a_line_a_run() -> None:
         "107",
         "1 doors closed, slip 0.123",
     ]
+
+
+def test_the_plan_has_no_empty_column() -> None:
+    heading, *_ = plan_table([spec(0), spec(1)]).splitlines()
+    assert heading.split() == ["run", "scene", "robot", "start", "goal", "shortest", "seed"]
 
 
 def test_junit_has_a_case_for_each_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -261,3 +261,31 @@ def test_a_file_with_very_many_mistakes_is_told_so(tmp_path: Path) -> None:
     found = mistakes(tmp_path, LEAST + "".join(f"x{k}: 1\n" for k in range(30)))
     assert len(found) == 21
     assert found[-1] == "has more than 20 mistakes: fix these first"
+
+
+def test_wrong_names_are_reported_with_the_other_mistakes(tmp_path: Path) -> None:
+    found = mistakes(
+        tmp_path,
+        "scenes: [flat, nowhere]\nrobots: gibson_bott\nruns: 0\n"
+        "stack: {command: no-such-program, ready: {topc: a}}\n"
+        "obstacles: {spawn: mugg, people: 3}\n"
+        "physics: {rate: 1}\n"
+        "verdicts: {colisions: 0, predicates: nowhere:function}\n",
+    )
+    begins = ("runs is 0", "stack.ready.topc is not a key", "obstacles.people is", "verdicts.colisions is not a key",
+              "scenes[1] is 'nowhere'", "robots is 'gibson_bott'", "stack.command is 'no-such-program'", "obstacles.spawn.object is 'mugg'",
+              "verdicts.predicates is 'nowhere:function'")  # fmt: skip
+    assert [line.startswith(begin) for line, begin in zip(found, begins, strict=True)] == [True] * len(begins), found
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("scenes: flat\nstack: {command: ./run.sh, folder: 3}\n", 1),  # where the program should be is unknown
+        ("scenes: 3\nruns: 10000\nrobots: [gibson_bot, omni_bot]\nstack: {command: python}\n", 1),
+        ("scenes: flat\nstack: {folder: nowhere}\n", 1),  # without a command there is no stack to check
+        ("scenes: flat\nrandomise: 3\nstack: 4\nphysics: {rate: 1}\n", 2),
+    ],
+)
+def test_mistakes_do_not_cause_others(tmp_path: Path, text: str, count: int) -> None:
+    assert len(mistakes(tmp_path, text)) == count

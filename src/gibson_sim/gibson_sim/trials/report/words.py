@@ -111,8 +111,8 @@ def rerun_command(file: str, number: int, options: Sequence[str] = ()) -> str:
 
 
 def plan_table(runs: Sequence[RunSpec]) -> str:
-    """Returns a table of the planned runs, one per line, with a header line."""
-    rows = [("run", "scene", "robot", "start", "goal", "shortest", "seed", "and")]
+    """Returns a table of the planned runs, one per line, with a header line; the last column only if a run has a value there."""
+    rows: list[tuple[str, ...]] = [("run", "scene", "robot", "start", "goal", "shortest", "seed", "obstacles, random values")]
     rows += [
         (
             str(run.number), scene_name(run.scene), robot_name(run.robot), _pose(run.start), _pose(run.goal), f"{run.shortest:.1f} m",
@@ -120,6 +120,8 @@ def plan_table(runs: Sequence[RunSpec]) -> str:
         )
         for run in runs
     ]  # fmt: skip
+    if not any(row[-1] for row in rows[1:]):
+        rows = [row[:-1] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows)
 

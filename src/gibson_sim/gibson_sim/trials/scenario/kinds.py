@@ -387,6 +387,22 @@ class Section:
                 at.key(name).note(f"is missing: {field_docs(self.cls).get(name, self.kinds[name].allowed)}")
         return result
 
+    def correct_values(self, value: Mapping[Any, Any]) -> dict[str, Any]:
+        """Returns the values without a mistake; those of a section with mistakes are in an instance with defaults for its other keys."""
+        result = {}
+        for key, content in value.items():
+            kind, at = self.kinds.get(key) if isinstance(key, str) else None, Location("", [])
+            if kind is None:
+                continue
+            content_read = kind.read(content, at)
+            if not at.mistakes:
+                result[key] = content_read
+            elif isinstance(kind, Section) and isinstance(content, Mapping):
+                inside = kind.correct_values(content)
+                if inside.keys() >= set(kind._required()):
+                    result[key] = kind.cls(**inside)
+        return result
+
     def schema(self) -> Schema:
         """See ``Kind``."""
         docs = field_docs(self.cls)

@@ -20,7 +20,7 @@ from gibson_sim.settings import nearest
 from gibson_sim.trials.scenario.keys import ALL, MAX_RUNS, SCENARIO
 from gibson_sim.trials.scenario.kinds import Location
 from gibson_sim.trials.scenario.predicates import predicate_problem
-from gibson_sim.trials.scenario_spec import Obstacles, Scenario, StackSpec, Verdicts
+from gibson_sim.trials.scenario_spec import Obstacles, Randomisation, Scenario, StackSpec, Verdicts
 
 FOLDER = "trials"
 """Folder below ``config`` with the scenario files that are found by name."""
@@ -72,40 +72,56 @@ def load_scenario(path: str | Path) -> Scenario:
             top.refuse(document, SCENARIO.allowed)
         raise ScenarioError(file, mistakes)
     values = SCENARIO.values(document, top)
+    # Files, resources and programs of correct values are checked even if others have mistakes: all are reported together.
+    values = _Resolver(file, document, top).resolve(SCENARIO.correct_values(document) if mistakes else values)
     if mistakes:
         raise ScenarioError(file, mistakes)
-    scenario = _Resolver(file, document, top).resolve(Scenario(file.stem, file, **values))
-    if mistakes:
-        raise ScenarioError(file, mistakes)
-    return scenario
+    return Scenario(file.stem, file, **values)
 
 
 class _Resolver:
     """Resolves the files, resources and programs that a scenario names."""
 
     def __init__(self, file: Path, document: Mapping[str, Any], top: Location) -> None:
+        """``top``: location of the document, with the mistakes recorded when it was read."""
         self._folder, self._document, self._top = file.parent, document, top
+        self._reading_mistakes = tuple(top.mistakes)
 
-    def resolve(self, scenario: Scenario) -> Scenario:
-        """Returns the scenario with names that do not depend on the current folder; records those that do not exist."""
-        scenes = self._scenes(scenario.scenes)
-        robots = self._robots(scenario.robots)
-        runs = len(scenes) * len(robots) * scenario.runs
+    def resolve(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the values with names that do not depend on the current folder; records those that do not exist.
+
+        Args:
+            values: values of the keys of a scenario that the document has, all correct.
+        """
+        resolvers: dict[str, Callable[[Any], Any]] = {
+            "scenes": self._scenes,
+            "robots": self._robots,
+            "stack": self._stack,
+            "obstacles": self._obstacles,
+            "randomise": self._randomise,
+            "verdicts": self._verdicts,
+        }
+        resolved = {**values, **{key: resolve(values[key]) for key, resolve in resolvers.items() if key in values}}
+        self._check_number_of_runs(resolved)
+        self._check_physics(resolved)
+        return resolved
+
+    def _had_mistakes(self, *keys: str) -> bool:
+        """Returns whether values of these keys had mistakes when they were read."""
+        return any(
+            mistake.startswith(tuple(f"{key}{end}" for end in " .[")) for key in keys for mistake in self._reading_mistakes
+        )
+
+    def _check_number_of_runs(self, values: Mapping[str, Any]) -> None:
+        if "runs" not in values or self._had_mistakes("scenes", "robots"):
+            return
+        robots = len(values.get("robots", ("the default",)))
+        runs = len(values["scenes"]) * robots * values["runs"]
         if runs > MAX_RUNS:
             self._top.key("runs").note(
-                f"is {scenario.runs}, which yields {runs} runs of {len(scenes)} scenes and {len(robots)} robots, "
+                f"is {values['runs']}, which yields {runs} runs of {len(values['scenes'])} scenes and {robots} robots, "
                 f"must be at most {MAX_RUNS} together"
             )
-        return replace(
-            scenario,
-            scenes=scenes,
-            robots=robots,
-            stack=self._stack(scenario.stack),
-            obstacles=self._obstacles(scenario.obstacles),
-            randomise=replace(scenario.randomise, looks=self._looks(scenario.randomise.looks)),
-            physics=self._physics(scenario),
-            verdicts=self._verdicts(scenario.verdicts),
-        )
 
     def _path(self, text: str) -> Path:
         """Returns the path for a text, relative to the folder of the file."""
@@ -159,6 +175,8 @@ class _Resolver:
         program = stack.command[0]
         if program in _PYTHON:
             program = sys.executable
+        elif self._had_mistakes("stack.folder", "stack.environment"):
+            pass  # where to search it is unknown
         elif "/" in program:
             path = folder / os.path.expanduser(program)
             program = str(path) if program.startswith("~") else program
@@ -196,9 +214,10 @@ class _Resolver:
             rules.append(rule if rule.object in known else replace(rule, object=os.path.normpath(path)))
         return replace(obstacles, spawn=tuple(rules))
 
-    def _looks(self, text: str) -> str:
+    def _randomise(self, randomise: Randomisation) -> Randomisation:
+        text = randomise.looks
         if not text:
-            return text
+            return randomise
         at = self._top.key("randomise").key("looks")
         path = self._path(text)
         try:
@@ -206,15 +225,16 @@ class _Resolver:
             load_rules(file)
         except (ConfigError, SceneError) as error:
             at.note(f"is {quoted(text)}: {error}")
-            return text
-        return os.path.normpath(path) if is_file(path) else text
+            return randomise
+        return replace(randomise, looks=os.path.normpath(path)) if is_file(path) else randomise
 
-    def _physics(self, scenario: Scenario) -> dict[str, Any]:
+    def _check_physics(self, values: Mapping[str, Any]) -> None:
+        if "physics" not in values or "stack" not in values or self._had_mistakes("stack.lockstep"):
+            return
         try:
-            PhysicsConfig(**scenario.physics, lockstep=bool(scenario.stack.lockstep))
+            PhysicsConfig(**values["physics"], lockstep=bool(values["stack"].lockstep))
         except ConfigError as error:
             self._top.key("physics").note(f"is not allowed: {error}")
-        return scenario.physics
 
     def _verdicts(self, verdicts: Verdicts) -> Verdicts:
         # A predicate may lie beside the scenario file, as the stack does.
