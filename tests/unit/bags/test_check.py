@@ -98,6 +98,18 @@ def test_images_are_missing_by_the_recorded_rate_of_their_camera(write_drive: Ca
     assert unknown.notes == faster.notes == ()
 
 
+def test_a_bag_that_defines_cameras_without_a_rate_is_checked(messages: Any, tmp_path: Path) -> None:
+    definitions = {"gibson_msgs/msg/Scene": "std_msgs/Header header\nstring[] cameras\n"}
+    with BagWriter(tmp_path / "bag", reserve_bytes=0, message_definitions=definitions) as bag:
+        bag.add_topic("/scene", "gibson_msgs/msg/Scene", TopicQos.latched())
+        bag.add_topic("/scene_state", "gibson_msgs/msg/SceneState")
+        header = messages.cdr(messages.header(0))
+        bag.write("/scene", header + bytes(-len(header) % 4) + b"\1\0\0\0" + b"\2\0\0\0a\0", 0, 0)
+        for i in range(3):
+            bag.write("/scene_state", messages.scene_state(i * TICK, i), i * TICK, i * TICK)
+    assert check_bag(tmp_path / "bag").ok
+
+
 def test_stamps_on_ticks_that_no_rate_divides_are_complete(write_drive: Callable[..., Path]) -> None:
     """8 Hz at 10 ticks a second: images at all ticks but two of ten, 0.1 s or 0.2 s apart."""
     due = [tick for tick in range(11) if (tick + 10) * 8 // 10 > (tick + 9) * 8 // 10]

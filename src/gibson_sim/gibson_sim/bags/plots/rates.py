@@ -31,6 +31,8 @@ _EVENT_TYPES = (
 _EVENT_PACKAGES = ("rcl_interfaces/", "action_msgs/", "lifecycle_msgs/", "trajectory_msgs/", "visualization_msgs/")
 _FOREIGN_NS = 24 * 3600 * NS_PER_S
 """Minimum difference between stamps and log times for which they are of different clocks, ns."""
+_LEAST_RATE = 1e-3
+"""Smallest rate of a sensor, Hz."""
 _CAMERA_TOPICS = ("/image_raw", "/camera_info", "/points")
 """Endings of the topics that have a message for each image of a camera."""
 
@@ -91,7 +93,10 @@ def camera_rates(bag: BagReader) -> dict[str, float]:
         return {}
     prefix, highest = of_type[SCENE_TYPE].rpartition("/")[0], 1.01 * NS_PER_S / period_ns
     cameras = getattr(bag.decode(SCENE_TYPE, newest[0][2]), "cameras", ())
-    return {f"{prefix}/{camera.name}/": camera.rate for camera in cameras if 0.0 < camera.rate <= highest}
+    rates = {
+        f"{prefix}/{getattr(camera, 'name', '')}/": getattr(camera, "rate", None) for camera in cameras
+    }  # the bag defines the type
+    return {topics: rate for topics, rate in rates.items() if isinstance(rate, float) and _LEAST_RATE <= rate <= highest}
 
 
 def camera_rate_of(topic: str, rates: Mapping[str, float]) -> float:
