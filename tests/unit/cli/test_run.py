@@ -26,6 +26,11 @@ def test_drive_sends_a_type_with_a_subscription(cmd_vel_type: str, stamped: bool
     assert job.configs["physics"].cmd_vel_type == cmd_vel_type
 
 
+def test_tour_is_planned_in_the_scene_and_for_the_robot_of_the_run(tmp_path: Path) -> None:
+    drive = plan(tmp_path, "--drive", "tour", "--robot", "skid_bot").configs["drive"]
+    assert (drive.scene, drive.robot) == ("flat", "skid_bot")
+
+
 def test_drive_without_a_matching_subscription_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--stamped sends TwistStamped, which --cmd-vel-type twist does not receive"):
         plan(tmp_path, "--drive", "square", "--stamped", "--cmd-vel-type", "twist")

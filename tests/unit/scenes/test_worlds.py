@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.formats.splats import splats_ply
-from gibson_sim.scenes.worlds import WorldError, WorldFailure, find_worlds, load_world
+from gibson_sim.scenes.worlds import WorldError, WorldFailure, absolute_uri, find_worlds, load_world
 from support.scenes import write_room, write_square_obj, write_triangle_glb
 from support.splat_files import random_splats
 
@@ -44,6 +44,15 @@ def test_world_is_loaded_by_path_and_by_uri(tmp_path: Path, as_uri: bool) -> Non
 
 def test_scene_of_ours_is_loaded_by_name() -> None:
     assert load_world("flat", "").name == "flat"
+
+
+def test_uri_of_a_relative_path_is_valid_in_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "living").mkdir()
+    (tmp_path / "flat").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert absolute_uri("living") == absolute_uri("./living") == str(tmp_path / "living")
+    assert absolute_uri("flat") == "flat"  # names take precedence over folders here
+    assert absolute_uri("nowhere") == "nowhere"
 
 
 def test_text_is_a_world() -> None:
