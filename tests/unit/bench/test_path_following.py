@@ -238,6 +238,8 @@ def test_the_report_has_the_papers_figures_beside_and_says_what_it_is() -> None:
     assert "| trained | all | learned minus teach_repeat | 1 | +1.00 |" in text
     assert "sim-to-sim" in text
     assert json.loads(json.dumps(table().as_json()))["differences"][-1]["length"] is None
+    named = replace(table(), plan={**table().plan, "model": "/home/me/mine.onnx"})
+    assert named.as_json()["plan"]["model"] == "mine.onnx"
 
 
 def test_the_page_escapes_captions_and_links_to_strips(tmp_path: Path) -> None:

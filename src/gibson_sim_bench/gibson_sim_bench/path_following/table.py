@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from gibson_sim.tasks.metrics import wilson
@@ -103,8 +104,10 @@ class Table2:
         return sum(cell.runs for cell in self.cells)
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the table as JSON types."""
-        found: dict[str, Any] = without_nan({"kind": "table2", "called": "sim-to-sim", **asdict(self)})
+        """Returns the table as JSON types; of the files of networks only the names, since it may be published."""
+        names = {key: Path(self.plan[key]).name for key in ("model", "goggles") if self.plan.get(key)}
+        values = {**asdict(self), "plan": {**self.plan, **names}}
+        found: dict[str, Any] = without_nan({"kind": "table2", "called": "sim-to-sim", **values})
         return found
 
 
