@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from typing import Any
 
 from rclpy.node import Node
@@ -21,6 +22,8 @@ logger = logging.getLogger(__name__)
 _TYPE = "simulation_interfaces/srv/GetCurrentWorld"
 DEFAULT_ROBOT = "gibson_bot"
 """Robot of a simulation that was started with several robots, or names none."""
+_RETRY_S = 1.0
+"""Time without a response after which the world is requested again, s of wall time."""
 
 
 class SimulatedWorld:
@@ -37,15 +40,22 @@ class SimulatedWorld:
         self._robot = ""
         self._client: Any = None
         self._answer: Any = None
+        self._requested_s = 0.0
         self._subscription = node.create_subscription(RunInfo, names.RUN_INFO, self._on_run_info, qos.RUN_INFO)
 
     def is_known(self) -> bool:
         """Returns whether the simulation has named its world and its robot; requests them."""
         if self._client is None and (name := offered_service(self._node, _TYPE)):
             self._client = self._node.create_client(GetCurrentWorld, name)
-        if self._answer is None and self._client is not None and self._client.service_is_ready():
-            self._answer = self._client.call_async(GetCurrentWorld.Request())
-        return bool(self._robot) and self._answer is not None and bool(self._answer.done())
+        # A response can be lost if the simulation has not discovered the client yet.
+        is_due = self._answer is None or (not self._is_answered and time.monotonic() - self._requested_s > _RETRY_S)
+        if is_due and self._client is not None and self._client.service_is_ready():
+            self._answer, self._requested_s = self._client.call_async(GetCurrentWorld.Request()), time.monotonic()
+        return bool(self._robot) and self._is_answered
+
+    @property
+    def _is_answered(self) -> bool:
+        return self._answer is not None and bool(self._answer.done())
 
     @property
     def robot(self) -> str:

@@ -11,6 +11,9 @@ from gibson_sim.ros.tools.output import print_line
 from gibson_sim.ros.tools.tool import PATIENCE_S, Tool
 from gibson_sim.ros.tools.yaml_messages import fill, yaml_text
 
+_MATCHING_S = 0.2
+"""Time for the service to discover the client, s of wall time: without it, on a busy machine, its response can be lost."""
+
 
 def service_list(tool: Tool, types: bool = False, include_hidden_services: bool = False) -> None:
     """Prints the names of all services, one per line."""
@@ -45,6 +48,7 @@ def service_call(tool: Tool, service: str, type: str = "", values: str = "") -> 
     client = tool.create_client(kind, name)
     if not tool.spin_until(PATIENCE_S, client.service_is_ready):
         raise tool.missing_service(name, type)
+    tool.spin_until(_MATCHING_S)
     print_line(f"requester: making request: {request}\n")
     response = tool.response(client, request)
     print_line("response:\n" + yaml_text(response, whole=True))
