@@ -122,23 +122,21 @@ class RendererPair:
 @contextmanager
 def timed_hole_filling(finish: Callable[[], None]) -> Iterator[Clock]:
     """Times hole filling inside the block; ``finish`` completes OpenGL's work before it, which it would wait for, and that of its own."""
-    original = HoleFilling.fill
+    clock, original = Clock(), HoleFilling.fill
 
     def finished(self: HoleFilling, target: RenderTarget, image: TargetImage, average: Average | None = None) -> None:
         original(self, target, image, average)
         finish()
 
-    HoleFilling.fill = finished  # type: ignore[method-assign]
+    timed = clock.timed(finished)
+
+    def fill(self: HoleFilling, target: RenderTarget, image: TargetImage, average: Average | None = None) -> None:
+        finish()
+        timed(self, target, image, average)
+
+    HoleFilling.fill = fill  # type: ignore[method-assign]
     try:
-        with calls_of(HoleFilling, "fill") as clock:
-            timed = HoleFilling.fill
-
-            def fill(self: HoleFilling, target: RenderTarget, image: TargetImage, average: Average | None = None) -> None:
-                finish()
-                timed(self, target, image, average)
-
-            HoleFilling.fill = fill  # type: ignore[method-assign]
-            yield clock
+        yield clock
     finally:
         HoleFilling.fill = original  # type: ignore[method-assign]
 

@@ -11,6 +11,15 @@ layout(std430, binding = 1) buffer Pyramid { vec4 pyramid[]; };    // all levels
 // See filling/holes.py.
 const uint SURFACE = 0u, NOTHING = 1u, BACK_FACE = 2u, UNSEEN = 3u, OUTSIDE = 4u, MOVING = 5u;
 
+// Alpha of normals below which a surface shows its back, or belongs to a moving link: see readback/frames.py.
+const uint BACK_BELOW = 49152u, MOVING_BELOW = 61440u;
+
+// Code of a pixel by its stored normal; UNSEEN also outside the field of view of a lens.
+uint code_of(uvec4 normal) {
+    if (normal.a == 0u) return normal.r == 0u ? NOTHING : UNSEEN;
+    return normal.a < BACK_BELOW ? BACK_FACE : normal.a < MOVING_BELOW ? MOVING : SURFACE;
+}
+
 bool is_hole(uint code) { return code == NOTHING || code == BACK_FACE; }
 
 // Whether a pixel is a hole to a network: moving links are, too, and what is outside the lens.

@@ -24,9 +24,7 @@ void main() {
     if (!is_finite(told)) is_not_finite = 1u;
     if (told > LEAST) inverse = told;
 #endif
-    uvec4 normal = texelFetch(u_normals, texel(pixel), 0);
-    bool is_open = normal.a == 0u ? normal.r == 0u : normal.a < 49152u;  // a hole: see fill_pixels.comp
-    if (is_open) {
+    if (is_hole(code_of(texelFetch(u_normals, texel(pixel), 0)))) {
         // Where nothing is known, the depth that was drawn, if it is not too far, stays.
         if (inverse > 0.0) drawn = inverse * u_near;
         else if (drawn * u_far < u_near) drawn = 0.0;

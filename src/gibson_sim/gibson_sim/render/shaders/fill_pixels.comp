@@ -10,18 +10,10 @@ uniform bool u_blended;     // pixels beside holes are blended with the backgrou
 uniform bool u_of_depth;    // the pyramid is of inverse depth
 uniform float u_near, u_far;
 
-const uint BACK_BELOW = 49152u, MOVING_BELOW = 61440u;  // see readback/frames.py
-
 uint seen(ivec2 pixel) {
     uvec4 normal = texelFetch(u_normals, texel(pixel), 0);
-    uint code = SURFACE;
-    if (normal.a == 0u) {
-        code = normal.r == 0u ? NOTHING : u_has_lens && normal.g == 0u ? OUTSIDE : UNSEEN;
-    } else if (normal.a < BACK_BELOW) {
-        code = BACK_FACE;
-    } else if (normal.a < MOVING_BELOW) {
-        code = MOVING;
-    }
+    uint code = code_of(normal);
+    if (code == UNSEEN && u_has_lens && normal.g == 0u) code = OUTSIDE;
     bool is_kept = code == SURFACE || code == MOVING;
     if (u_blurred && is_kept && texelFetch(u_average, texel(pixel) - u_rect.xy, 0).a > 0.0) return NOTHING;
     return code;

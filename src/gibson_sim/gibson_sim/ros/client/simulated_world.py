@@ -19,7 +19,6 @@ from gibson_sim.scenes import worlds
 from gibson_sim.scenes.spec import SceneSpec
 
 logger = logging.getLogger(__name__)
-_TYPE = "simulation_interfaces/srv/GetCurrentWorld"
 DEFAULT_ROBOT = "gibson_bot"
 """Robot of a simulation that was started with several robots, or names none."""
 _RETRY_S = 1.0
@@ -45,7 +44,7 @@ class SimulatedWorld:
 
     def is_known(self) -> bool:
         """Returns whether the simulation has named its world and its robot; requests them."""
-        if self._client is None and (name := offered_service(self._node, _TYPE)):
+        if self._client is None and (name := offered_service(self._node, GetCurrentWorld)):
             self._client = self._node.create_client(GetCurrentWorld, name)
         # A response can be lost if the simulation has not discovered the client yet.
         is_due = self._answer is None or (not self._is_answered and time.monotonic() - self._requested_s > _RETRY_S)

@@ -7,13 +7,13 @@ import time
 from collections.abc import Callable
 
 from rclpy.node import Node
+from simulation_interfaces.srv import GetSimulationState
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.reach import is_local
 from gibson_sim.ros.nodes.node_main import started_by_launcher
 from gibson_sim.ros.topics.discovery import offered_service
 
-_STATE_TYPE = "simulation_interfaces/srv/GetSimulationState"
 LOG_AFTER_S = 2.0
 """Time after which a node logs the condition that it waits for, s of wall time."""
 
@@ -57,7 +57,7 @@ class WaitCondition:
         topic, domain = node.resolve_topic_name(topic), node.context.get_domain_id()
 
         def simulation_runs() -> bool:
-            return bool(offered_service(node, _STATE_TYPE))
+            return bool(offered_service(node, GetSimulationState))
 
         return cls(
             node,

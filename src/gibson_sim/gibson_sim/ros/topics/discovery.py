@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.executors import Executor
@@ -26,9 +27,9 @@ _ACKNOWLEDGE_TIMEOUT_S = 1.0
 """Timeout for the acknowledgement of the last messages, s of wall time: a subscriber that was killed never acknowledges."""
 
 
-def offered_service(node: Node, type_name: str) -> str:
-    """Returns the name of a service of a type that another node offers; empty = there is none."""
-    services = node.get_service_names_and_types()
+def offered_service(node: Node, kind: Any) -> str:
+    """Returns the name of a service that another node offers, of the type ``kind``, a class; empty = there is none."""
+    type_name, services = type_name_of(kind), node.get_service_names_and_types()
     return next((name for name, types in services if type_name in types and node.count_services(name)), "")
 
 

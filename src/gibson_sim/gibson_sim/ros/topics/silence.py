@@ -15,7 +15,6 @@ SILENT_S = 3.0
 """Time without a message after which the cause is reported, s of wall time."""
 _ANSWER_S = 5.0
 """Timeout for the state of the simulation, s of wall time."""
-_TYPE = "simulation_interfaces/srv/GetSimulationState"
 _HALTED = {SimulationState.STATE_PAUSED: "paused", SimulationState.STATE_STOPPED: "stopped"}
 """States in which time does not pass -> text."""
 
@@ -57,7 +56,7 @@ class SilenceNotice:
         if not self._by_simulation():
             self._conclude("")
             return
-        if self._client is None and (name := offered_service(self._node, _TYPE)):
+        if self._client is None and (name := offered_service(self._node, GetSimulationState)):
             self._client = self._node.create_client(GetSimulationState, name)
         if self._answer is None and self._client is not None and self._client.service_is_ready():
             self._answer = self._client.call_async(GetSimulationState.Request())
