@@ -90,7 +90,8 @@ class _Reader:
     def model(self, top: ET.Element) -> UrdfModel:
         """Returns the model of a ``<robot>``."""
         if top.tag != "robot":
-            raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, must be <robot>")
+            hint = "; MJCF (MuJoCo) is not read, convert it to URDF or SDF" if top.tag == "mujoco" else ""
+            raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, must be <robot>{hint}")
         for material in top.iter("material"):
             color = material.find("color")
             if color is not None or material.find("texture") is not None:

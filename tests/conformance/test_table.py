@@ -1,0 +1,9 @@
+"""The page of formats lists the rules that the conformance tests check."""
+
+from __future__ import annotations
+
+from conformance.rules import PAGE, page
+
+
+def test_the_page_of_formats_is_that_of_the_tests() -> None:
+    assert PAGE.read_text() == page(), "write it again: PYTHONPATH=tests python -m conformance.rules"
