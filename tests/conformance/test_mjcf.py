@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from conformance.rules import rule
 
+from conformance.rules import rule
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import GibsonSimError
 
