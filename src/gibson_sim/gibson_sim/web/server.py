@@ -24,6 +24,7 @@ from urllib.parse import urlsplit
 from aiohttp import WSMsgType, web
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.web.connections import ConnectionGate, ConnectionLimits, RareWarnings, RequestErrors, listen
 from gibson_sim.web.curves import CurveName, Sample
 from gibson_sim.web.dead_man import DeadMan
 from gibson_sim.web.pages import Backend, Page, send_queued
@@ -55,15 +56,26 @@ class PageServer:
         host: address to listen on.
         port: TCP port; 0 = any free port.
         token: token that a page must present; "" = none, allowed only on loopback.
+        limits: limits of the connections that are not pages; None = the usual ones.
 
     Raises:
         ConfigError: the address cannot be used, or is not loopback and has no token.
     """
 
-    def __init__(self, backend: Backend, host: str = "127.0.0.1", port: int = 0, token: str = "") -> None:
+    def __init__(
+        self,
+        backend: Backend,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        token: str = "",
+        *,
+        limits: ConnectionLimits | None = None,
+    ) -> None:
         if host not in LOOPBACK and not token:
             raise ConfigError(f"address {host} is reachable from other machines: a token is required")
         self._backend, self._host, self._token = backend, host, token
+        self._warnings = RareWarnings(logger)
+        self._gate = ConnectionGate(limits or ConnectionLimits(), self._warnings)
         self._pages: set[Page] = set()
         self._watched: frozenset[str] = frozenset()
         self._plotted: frozenset[CurveName] = frozenset()
@@ -150,24 +162,29 @@ class PageServer:
 
     def _run(self, port: int) -> None:
         asyncio.set_event_loop(self._loop)
-        runner = web.AppRunner(self._application(), access_log=None, shutdown_timeout=1.0)
         try:
-            self._loop.run_until_complete(runner.setup())
-            site = web.TCPSite(runner, self._host, port)
-            self._loop.run_until_complete(site.start())
-            self.port = runner.addresses[0][1]
+            listeners = listen(self._host, port)
         except OSError as error:
-            self._loop.run_until_complete(runner.cleanup())
             self._loop.close()
             self._error = error
             self._ready.set()
             return
+        self.port = listeners[0].getsockname()[1]
+        protocol_logger = RequestErrors(logger, self._warnings)
+        runner = web.AppRunner(self._application(), access_log=None, shutdown_timeout=1.0, logger=protocol_logger)
+        self._loop.run_until_complete(runner.setup())
+        assert runner.server is not None
+        tasks = [self._loop.create_task(self._gate.accept(listener, runner.server)) for listener in listeners]
         self._ready.set()
-        ticking = self._loop.create_task(self._tick())
+        tasks.append(self._loop.create_task(self._tick()))
         try:
             self._loop.run_forever()
         finally:
-            ticking.cancel()
+            for task in tasks:
+                task.cancel()
+            for listener in listeners:
+                self._loop.remove_reader(listener)
+                listener.close()
             self._release(*self._pages)
             while self._drive():
                 pass
@@ -189,6 +206,14 @@ class PageServer:
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
+        """Notes that the connection has sent a request, and answers it."""
+        self._gate.begin(request.transport)
+        try:
+            return await self._answer(request, handler)
+        finally:
+            self._gate.end(request.transport)
+
+    async def _answer(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
         """Rejects other hosts, other origins and requests without the token, if one is set."""
         try:
             host = urlsplit(f"//{request.host}").hostname or ""
@@ -236,6 +261,9 @@ class PageServer:
         except ConnectionError as error:
             # The browser closed the page while loading it; any other exception would be logged with its traceback.
             raise web.HTTPServiceUnavailable(text="the page was closed") from error
+        except ValueError as error:  # bytes that are not ASCII in a header of the handshake
+            raise web.HTTPBadRequest(text="a header of the WebSocket handshake is malformed") from error
+        self._gate.keep(request.transport)
         page = Page(socket, asyncio.Queue(maxsize=64))
         self._pages.add(page)
         for text in self._latched.values():
@@ -336,4 +364,5 @@ class PageServer:
     async def _tick(self) -> None:
         while True:
             self._drive()
+            self._gate.close_idle()
             await asyncio.sleep(_TICK_S)
