@@ -177,7 +177,7 @@ def test_ktx2_textures_name_what_converts_them(tmp_path: Path) -> None:
     gltf.document |= {
         "textures": [{"extensions": {"KHR_texture_basisu": {"source": 0}}}],
         "images": [{"uri": "a.ktx2", "mimeType": "image/ktx2"}],
-        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0}}],
         "extensionsRequired": ["KHR_texture_basisu"],
     }
     gltf.document["meshes"][0]["primitives"][0]["material"] = 0

@@ -1,7 +1,7 @@
 """Reads glTF 2.0, text and binary (GLB): geometry of the default scene and metallic-roughness materials.
 
-Skins, animations, cameras, lights and material extensions other than unlit, emissive strength and (in part) specular-glossiness are
-ignored.
+Skins and morph targets are applied in the pose of the file. Animations, cameras, lights and material extensions other than unlit, emissive
+strength and (in part) specular-glossiness are left out, each with a warning that says what changes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 import math
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,15 +24,17 @@ from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.file_roots import is_inside
 from gibson_sim.formats.gltf_compression import DRACO, MAX_DECODED_BYTES, MESHOPT, DracoMesh, decode_draco, decode_meshopt
-from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, TO_Z_UP, AlphaMode, Material, MeshPart, build_part
+from gibson_sim.formats.gltf_document import check_document
+from gibson_sim.formats.mesh import F64, I64, TO_Z_UP, AlphaMode, Filter, Material, MeshPart, Sampling, Wrap, build_part
 from gibson_sim.formats.textures import TextureStore, Warn, local_path
 from gibson_sim.geometry.colours import srgb8_from_linear, srgb_from_linear
 from gibson_sim.geometry.transforms import matrix_from_quat
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import read_file
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 _MAX_BUFFER_BYTES = 2**30
 """Maximum size of a buffer file, bytes."""
 _MAX_ELEMENTS = 100_000_000
@@ -42,11 +44,41 @@ _MAX_VALUES = 2_000_000
 _MAX_NODES = 100_000
 _NODES_PER_PART = 10
 """Maximum number of nodes per allowed part: most nodes have no mesh, and each takes time."""
+_WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
+_MINIFIED: dict[int, tuple[Filter, Filter | None]] = {
+    9728: ("nearest", None), 9729: ("linear", None), 9984: ("nearest", "nearest"), 9985: ("linear", "nearest"),
+    9986: ("nearest", "linear"), 9987: ("linear", "linear"),
+}  # fmt: skip
+"""Value of ``minFilter`` -> filter within a mip level and between levels, None = without levels."""
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _KNOWN_EXTENSIONS = {
     "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_pbrSpecularGlossiness",
-    "KHR_lights_punctual", "EXT_texture_webp", "KHR_texture_basisu", DRACO, *MESHOPT,
+    "KHR_lights_punctual", "EXT_texture_webp", "KHR_texture_basisu", "EXT_mesh_gpu_instancing", DRACO, *MESHOPT,
 }  # fmt: skip
+_METADATA = {"KHR_xmp", "KHR_xmp_json_ld"}
+"""Extensions without influence on the picture."""
+_LEFT_OUT = {
+    "KHR_lights_punctual": "its lights are left out, so that only the lights of the scene shine",
+    "KHR_materials_variants": "the variants are left out, and the default materials are drawn",
+}
+"""Extension of a document -> what changes without it."""
+_MATERIAL_EXTENSIONS: dict[str, tuple[str, Any, str]] = {
+    "KHR_materials_anisotropy": ("anisotropyStrength", 0.0, "its highlights are round"),
+    "KHR_materials_clearcoat": ("clearcoatFactor", 0.0, "the highlights of its coat are missing"),
+    "KHR_materials_diffuse_transmission": ("diffuseTransmissionFactor", 0.0, "no light shines through it"),
+    "KHR_materials_dispersion": ("dispersion", 0.0, "it does not split light into colours"),
+    "KHR_materials_ior": ("ior", 1.5, "it reflects as with an index of refraction of 1.5"),
+    "KHR_materials_iridescence": ("iridescenceFactor", 0.0, "its colour does not change with the view"),
+    "KHR_materials_sheen": ("sheenColorFactor", [0, 0, 0], "its sheen is missing"),
+    "KHR_materials_specular": ("specularFactor", 1.0, "its reflections have the default strength and colour"),
+    "KHR_materials_transmission": ("transmissionFactor", 0.0, "it is opaque instead of transparent like glass"),
+    "KHR_materials_volume": ("thicknessFactor", 0.0, "it does not refract or absorb light"),
+}
+"""Extension of a material -> property and value with which it has no effect, and what changes without it."""
+
+_READ_MATERIAL_EXTENSIONS = {"KHR_materials_unlit", "KHR_materials_emissive_strength", "KHR_materials_pbrSpecularGlossiness"}
+_WHITE = (1.0, 1.0, 1.0, 1.0)
+"""``baseColorFactor`` of a material that has none."""
 
 _MAPS = {
     "metallicRoughnessTexture": "metallic_roughness_texture",
@@ -55,6 +87,11 @@ _MAPS = {
     "emissiveTexture": "emissive_texture",
 }
 """Name of a texture in the file -> field of ``Material``."""
+_TO_Z_UP = np.eye(4)
+_TO_Z_UP[:3, :3] = TO_Z_UP["y"]
+_INSTANCE_WIDTHS = {"TRANSLATION": 3, "ROTATION": 4, "SCALE": 3}
+_Targets = Sequence[tuple[float, dict[str, int]]]
+"""Morph targets: weight, and accessors by attribute."""
 _UvMapping = tuple[int, dict[str, Any]]
 """Index of the set of texture coordinates, and the KHR_texture_transform, empty = none."""
 
@@ -76,9 +113,11 @@ def load_gltf(
         MeshError: the file is corrupt, needs an unknown extension, or has too many parts or nodes.
     """
     document, chunk = _split(path, data)
-    version = str(document.get("asset", {}).get("version", ""))
+    asset = document.get("asset")
+    version = str(asset.get("version", "")) if isinstance(asset, dict) else ""
     if not version.startswith("2"):
-        raise MeshError(f"{path}: glTF version is {version or 'not given'}, must be 2.x; convert the file")
+        raise MeshError(f"{path}: glTF version is {clipped(version, 40) or 'not given'}, must be 2.x; convert the file")
+    check_document(str(path), document)
     for name in document.get("extensionsRequired", []):
         if name not in _KNOWN_EXTENSIONS and not name.startswith("KHR_materials_"):
             raise MeshError(f"{path}: needs glTF extension {name}, which is not supported; export the file without it")
@@ -107,7 +146,12 @@ def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
         size, kind = struct.unpack_from("<II", data, at)
         chunks.setdefault(kind, data[at + 8 : at + 8 + size])
         at += 8 + size
-    return _json(path, chunks[0x4E4F534A]), chunks.get(0x004E4942, b"")
+    if _JSON_CHUNK not in chunks:
+        raise MeshError(f"{path}: is a GLB without its JSON chunk; the file is broken, export it again")
+    document = _json(path, chunks[_JSON_CHUNK])
+    if not isinstance(document, dict):
+        raise MeshError(f"{path}: is not a glTF file: its JSON holds no object")
+    return document, chunks.get(_BINARY_CHUNK, b"")
 
 
 def _json(path: Path, data: bytes) -> Any:
@@ -139,24 +183,23 @@ class _GltfReader:
         """Index of an accessor -> values from Draco, for the current primitive."""
         self._unpacked: dict[int, bytes] = {}
         self._unpacked_bytes = 0
+        self._parents = {child: k for k, node in enumerate(document.get("nodes", [])) for child in node.get("children", [])}
 
     def parts(self, most: int | None) -> list[MeshPart]:
         """Returns all parts, at most ``most``."""
-        if "EXT_mesh_gpu_instancing" in self.document.get("extensionsUsed", []):
-            self.warn(f"{self.path}: EXT_mesh_gpu_instancing is not supported; only one of each instanced mesh is drawn")
+        self._warn_of_what_is_left_out()
         parts: list[MeshPart] = []
         nodes, allowed = len(self.document.get("nodes", [])), min(_MAX_NODES, _NODES_PER_PART * (most or _MAX_NODES))
         if nodes > allowed:
             reason = f"has {nodes} nodes, must have at most {allowed}; join its meshes"
             raise MeshError(f"{self.path}: {reason}").with_public(reason)
-        for node, matrix in self._nodes():
-            if "mesh" not in node:
-                continue
-            for primitive in self._item("meshes", node["mesh"]).get("primitives", []):
+        for node, matrix in self._instances():
+            mesh = self._item("meshes", node["mesh"])
+            for primitive in mesh["primitives"]:
                 if most is not None and len(parts) >= most:
                     reason = f"has more than {most} meshes in its nodes; join them before it is spawned, or load it as a world"
                     raise MeshError(f"{self.path}: {reason}").with_public(reason)
-                part = self._primitive(primitive, matrix)
+                part = self._primitive(primitive, matrix, node, node.get("weights", mesh.get("weights", [])))
                 if part is not None:
                     parts.append(part)
         return parts
@@ -168,7 +211,80 @@ class _GltfReader:
         item: dict[str, Any] = items[index]
         return item
 
+    def _warn_of_what_is_left_out(self) -> None:
+        """Warns of what no mesh or material says."""
+        for name in self.document.get("extensionsUsed", []):
+            if name in _LEFT_OUT:
+                self.warn(f"{self.path}: {name}: {_LEFT_OUT[name]}")
+            elif name not in _KNOWN_EXTENSIONS | _METADATA and not name.startswith("KHR_materials_"):
+                self.warn(f"{self.path}: extension {clipped(name, 60)} is not read; what it adds or changes is left out")
+        scenes = len(self.document.get("scenes", []))
+        if scenes > 1:
+            self.warn(f"{self.path}: has {scenes} scenes; only scene {self.document.get('scene', 0)} is drawn")
+        if self.document.get("cameras"):
+            self.warn(f"{self.path}: its cameras are left out; add cameras to the robot or the scene")
+        if any(
+            self._moves(channel, animation["samplers"])
+            for animation in self.document.get("animations", [])
+            for channel in animation["channels"]
+        ):
+            self.warn(f"{self.path}: its animations are left out; everything stays in the pose of the nodes")
+
+    def _moves(self, channel: dict[str, Any], samplers: list[dict[str, Any]]) -> bool:
+        """Returns whether an animation changes a node from its pose in the file."""
+        target = channel["target"]
+        if "node" not in target or not 0 <= channel["sampler"] < len(samplers):
+            return True  # what an extension animates
+        node = self._item("nodes", target["node"])
+        weights = node.get("weights") or self.document["meshes"][node["mesh"]].get("weights", []) if "mesh" in node else []
+        rest = {
+            "translation": node.get("translation", (0, 0, 0)),
+            "rotation": node.get("rotation", (0, 0, 0, 1)),
+            "scale": node.get("scale", (1, 1, 1)),
+            "weights": weights,
+        }.get(target["path"])
+        if rest is None or samplers[channel["sampler"]].get("interpolation") == "CUBICSPLINE":
+            return True
+        values = self._accessor(samplers[channel["sampler"]]["output"])
+        if target["path"] == "weights":
+            values = values.reshape(-1, len(rest)) if rest and values.size % len(rest) == 0 else values
+        if values.shape[1] != len(rest):
+            return bool(np.any(values))
+        return not np.allclose(values, rest, atol=1e-6)
+
     # Nodes
+
+    def _instances(self) -> Iterator[tuple[dict[str, Any], F64]]:
+        """Yields every node of the default scene that has a mesh, once for each of its instances, and its T_zup_node, (4, 4)."""
+        count = 0
+        for node, matrix in self._nodes():
+            if "mesh" not in node:
+                continue
+            attributes = node.get("extensions", {}).get("EXT_mesh_gpu_instancing", {}).get("attributes")
+            if attributes is None:
+                yield node, matrix
+                continue
+            columns = {name: self._accessor(attributes[name]) for name in _INSTANCE_WIDTHS if name in attributes}
+            lengths = {len(values) for values in columns.values()}
+            if len(lengths) != 1 or any(values.shape[1] != _INSTANCE_WIDTHS[name] for name, values in columns.items()):
+                raise MeshError(
+                    f"{self.path}: the attributes of EXT_mesh_gpu_instancing do not fit each other; the file is broken"
+                )
+            count += lengths.pop()
+            if count > _MAX_NODES:
+                raise MeshError(f"{self.path}: has more than {_MAX_NODES} instances of meshes; split it")
+            for row in range(len(next(iter(columns.values())))):
+                yield node, matrix @ _node_matrix({name.lower(): values[row] for name, values in columns.items()})
+
+    def _world_matrix(self, index: int) -> F64:
+        """Returns T_zup_node, (4, 4), of any node."""
+        matrix, seen = np.eye(4), set[int]()
+        current: int | None = index
+        while current is not None and current not in seen:
+            seen.add(current)
+            matrix = _node_matrix(self._item("nodes", current)) @ matrix
+            current = self._parents.get(current)
+        return _TO_Z_UP @ matrix
 
     def _nodes(self) -> Iterator[tuple[dict[str, Any], F64]]:
         """Yields every node of the default scene and its T_zup_node, (4, 4)."""
@@ -179,9 +295,7 @@ class _GltfReader:
         else:
             children = {child for node in nodes for child in node.get("children", [])}
             roots = [k for k in range(len(nodes)) if k not in children]
-        to_z_up = np.eye(4)
-        to_z_up[:3, :3] = TO_Z_UP["y"]
-        stack = [(root, to_z_up) for root in reversed(roots)]
+        stack = [(root, _TO_Z_UP) for root in reversed(roots)]
         seen: set[int] = set()
         while stack:
             index, parent = stack.pop()
@@ -195,7 +309,9 @@ class _GltfReader:
 
     # Geometry
 
-    def _primitive(self, primitive: dict[str, Any], matrix: F64) -> MeshPart | None:
+    def _primitive(
+        self, primitive: dict[str, Any], matrix: F64, node: dict[str, Any], weights: Sequence[float]
+    ) -> MeshPart | None:
         mode = primitive.get("mode", 4)
         attributes = primitive["attributes"]
         if mode not in (4, 5, 6) or "POSITION" not in attributes:
@@ -204,24 +320,92 @@ class _GltfReader:
             return None
         draco = self._draco_of(primitive)
         self._decoded = {} if draco is None else self._draco_arrays(primitive, draco)
-        vertices = self._accessor(attributes["POSITION"])
-        if vertices.shape[1] != 3:
-            raise MeshError(f"{self.path}: positions have {vertices.shape[1]} coordinates, must be 3; the file is broken")
-        normals = self._attribute("NORMAL", attributes, len(vertices), 3)
+        positions = self._accessor(attributes["POSITION"])
+        if positions.shape[1] != 3:
+            raise MeshError(f"{self.path}: positions have {positions.shape[1]} coordinates, must be 3; the file is broken")
+        count = len(positions)
+        targets = [(w, target) for w, target in zip(weights, primitive.get("targets", []), strict=False) if w]
+        vertices = self._morphed("POSITION", positions, targets)
+        normals = self._attribute("NORMAL", attributes, count, 3, targets)
         if draco is not None:
             indices: I64 = draco.indices
         elif "indices" in primitive:
             indices = self._accessor(primitive["indices"])[:, 0].astype(np.int64)
         else:
-            indices = np.arange(len(vertices))
+            indices = np.arange(count)
         material, uv_set, uv_matrix = self._material_of(primitive)
-        uvs = self._attribute(f"TEXCOORD_{uv_set}", attributes, len(vertices), 2)
+        uvs = self._attribute(f"TEXCOORD_{uv_set}", attributes, count, 2, targets)
+        if uvs is None and (material.texture is not None or material.has_maps):
+            self.warn(
+                f"{self.path}: material {quoted(material.name)} needs TEXCOORD_{uv_set}; a mesh without it is drawn without textures"
+            )
+        if "TANGENT" in attributes and material.normal_texture is not None:
+            self.warn(f"{self.path}: TANGENT is not read; normal textures are turned by the texture coordinates")
         if uvs is not None and uv_matrix is not None:
             uvs = uvs @ uv_matrix[:2, :2].T + uv_matrix[:2, 2]
         colors = None
-        if material.texture is None and "COLOR_0" in attributes:
-            colors = self._colors(attributes["COLOR_0"], len(vertices))
-        return build_part(str(self.path), vertices, _triangles(indices, mode), normals, uvs, material, matrix, colors)
+        if "COLOR_0" in attributes:
+            colors = self._colors(attributes["COLOR_0"], count, targets)
+            material = replace(material, colored=True)
+        triangles = _triangles(indices, mode)
+        placed: F64 | None = matrix
+        if "skin" in node and "JOINTS_0" in attributes:
+            vertices, normals, mirrored = self._skinned(node["skin"], attributes, vertices, normals)
+            triangles = triangles[:, ::-1] if mirrored else triangles
+            placed = None  # the joints replace the matrix of the node
+        return build_part(str(self.path), vertices, triangles, normals, uvs, material, placed, colors)
+
+    def _morphed(self, name: str, values: NDArray[Any], targets: _Targets) -> NDArray[Any]:
+        """Returns an attribute (V, C) with the weighted displacements of morph targets."""
+        for weight, target in targets:
+            if name in target:
+                moved = self._accessor(target[name])
+                if moved.shape[0] != values.shape[0] or moved.shape[1] > values.shape[1]:
+                    raise MeshError(
+                        f"{self.path}: a morph target of {name} has shape {moved.shape}, must be {values.shape}; the file is broken"
+                    )
+                values = values.astype(np.float64)
+                values[:, : moved.shape[1]] += weight * moved
+        return values
+
+    def _skinned(
+        self, skin_index: int, attributes: dict[str, int], vertices: NDArray[Any], normals: NDArray[Any] | None
+    ) -> tuple[F64, F64 | None, bool]:
+        """Returns vertices and normals in the current pose of the joints, z up, and whether the joints mirror them."""
+        skin = self._item("skins", skin_index)
+        joints = np.array([self._world_matrix(joint) for joint in skin["joints"]]).reshape(-1, 4, 4)
+        if "inverseBindMatrices" in skin:
+            inverse = self._accessor(skin["inverseBindMatrices"])
+            if inverse.shape[1] != 16 or len(inverse) < len(joints):
+                problem = f"has {len(inverse)} inverse bind matrices, must have {len(joints)}"
+                raise MeshError(f"{self.path}: skin {skin_index} {problem}; the file is broken")
+            joints = joints @ inverse[: len(joints)].astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+        blended, total = np.zeros((len(vertices), 4, 4)), np.zeros(len(vertices))
+        for number in range(len(attributes)):
+            numbers = self._attribute(f"JOINTS_{number}", attributes, len(vertices), 4)
+            shares = self._attribute(f"WEIGHTS_{number}", attributes, len(vertices), 4)
+            if numbers is None or shares is None:
+                break
+            for column in range(4):
+                share, joint = np.nan_to_num(shares[:, column].astype(np.float64)), numbers[:, column].astype(np.int64)
+                joint = np.where(share == 0.0, 0, joint)
+                if len(joint) and not 0 <= joint.min() <= joint.max() < len(joints):
+                    raise MeshError(
+                        f"{self.path}: a vertex names joint {joint.max()}, but skin {skin_index} has {len(joints)}; the file is broken"
+                    )
+                blended += share[:, None, None] * joints[joint]
+                total += share
+        blended[total == 0.0] = _TO_Z_UP
+        blended /= np.where(total == 0.0, 1.0, total)[:, None, None]
+        moved = np.einsum("vij,vj->vi", blended[:, :3, :3], vertices.astype(np.float64)) + blended[:, :3, 3]
+        linear = blended[:, :3, :3]
+        mirrored = float(np.linalg.det(linear).sum()) < 0.0
+        if normals is None:
+            return moved, None, mirrored
+        x, y, z = linear[:, 0], linear[:, 1], linear[:, 2]
+        cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
+        turned = np.einsum("vij,vj->vi", cofactors, normals.astype(np.float64)) * (-1.0 if mirrored else 1.0)
+        return moved, turned, mirrored
 
     def _draco_of(self, primitive: dict[str, Any]) -> DracoMesh | None:
         """Returns the Draco mesh of a primitive, None = not compressed; the first call decodes all meshes of the file."""
@@ -252,21 +436,26 @@ class _GltfReader:
             raise MeshError(f"{self.path}: a Draco mesh has no POSITION; the file is broken")
         return arrays
 
-    def _attribute(self, name: str, attributes: dict[str, Any], count: int, width: int) -> NDArray[Any] | None:
-        """Returns a vertex attribute (count, width); None if the primitive does not have it."""
+    def _attribute(
+        self, name: str, attributes: dict[str, Any], count: int, width: int, targets: _Targets = ()
+    ) -> NDArray[Any] | None:
+        """Returns a vertex attribute (count, width), displaced by morph targets; None if the primitive does not have it."""
         if name not in attributes:
             return None
         array = self._accessor(attributes[name])
         if array.shape != (count, width):
             raise MeshError(f"{self.path}: {name} has shape {array.shape}, must be ({count}, {width}); the file is broken")
-        return array
+        return self._morphed(name, array, targets)
 
-    def _colors(self, index: int, count: int) -> NDArray[np.uint8]:
-        """Returns the vertex colours, (V, 3) uint8 sRGB, converted from the linear RGB of the file; drops alpha."""
+    def _colors(self, index: int, count: int, targets: _Targets) -> NDArray[np.uint8]:
+        """Returns the vertex colours, (V, 3 or 4) uint8 sRGB and linear alpha, converted from the linear RGB of the file."""
         linear = self._accessor(index)
         if linear.shape[0] != count or linear.shape[1] not in (3, 4):
             raise MeshError(f"{self.path}: COLOR_0 has shape {linear.shape}, must be ({count}, 3 or 4); the file is broken")
-        return srgb8_from_linear(linear[:, :3].astype(np.float64))
+        linear = self._morphed("COLOR_0", linear, targets).astype(np.float64)
+        colors = srgb8_from_linear(linear)
+        colors[:, 3:] = np.rint(255.0 * np.clip(np.nan_to_num(linear[:, 3:]), 0.0, 1.0))
+        return colors
 
     def _accessor(self, index: int) -> NDArray[Any]:
         """Returns the values of an accessor, (count, width); normalised integers are converted to floats in [-1, 1] or [0, 1]."""
@@ -359,7 +548,7 @@ class _GltfReader:
     def _material_of(self, primitive: dict[str, Any]) -> tuple[Material, int, F64 | None]:
         """Returns the material of a primitive, the index of its set of texture coordinates, and their transform (3, 3) or None."""
         if "material" not in primitive:
-            return Material(), 0, None
+            return Material(base_color=_WHITE), 0, None  # matte: nobody means the rough metal of the specification's defaults
         index = primitive["material"]
         source = self._item("materials", index)
         extensions = source.get("extensions", {})
@@ -370,11 +559,11 @@ class _GltfReader:
         mapping = _uv_mapping(info or next(filter(None, (_map_info(source, name) for name in _MAPS)), {}))
         if index not in self._materials:
             texture = None if info is None else self._texture(info["index"])
-            color = (1.0, 1.0, 1.0, 1.0) if texture or not self.textures.decode else LIGHT_GREY
+            color = _WHITE
             if factor is not None:
                 *rgb, alpha = (float(c) for c in factor)
-                r, g, b = srgb_from_linear(rgb).tolist()
-                color = (r, g, b, min(max(alpha, 0.0), 1.0))
+                red, green, blue = srgb_from_linear(rgb).tolist()
+                color = (red, green, blue, min(max(alpha, 0.0), 1.0))
             material = Material(
                 str(source.get("name", "")),
                 color,
@@ -384,8 +573,27 @@ class _GltfReader:
                 float(source.get("alphaCutoff", 0.5)),
                 bool(source.get("doubleSided", False)),
             )
+            if not material.unlit:
+                self._warn_of_extensions(material.name, extensions)
             self._materials[index] = material if material.unlit else self._with_surface(material, source, mapping)
         return self._materials[index], mapping[0], _uv_matrix(mapping[1])
+
+    def _warn_of_extensions(self, name: str, extensions: dict[str, Any]) -> None:
+        """Warns of extensions of a material that change its look and are left out."""
+        for extension, values in extensions.items():
+            key, neutral, change = _MATERIAL_EXTENSIONS.get(extension, ("", None, "what it adds or changes is left out"))
+            if extension in _READ_MATERIAL_EXTENSIONS:
+                continue
+            inert = isinstance(values, dict) and bool(key) and values.get(key, neutral) == neutral
+            if extension == "KHR_materials_specular" and isinstance(values, dict):
+                inert &= not set(values) - {"specularFactor", "specularColorFactor"} and values.get(
+                    "specularColorFactor", [1, 1, 1]
+                ) == [1, 1, 1]
+            if not inert:
+                self.warn(f"{self.path}: {clipped(extension, 60)} of material {quoted(name)} is not drawn: {change}")
+        gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
+        if {"specularFactor", "specularGlossinessTexture"} & set(gloss):
+            self.warn(f"{self.path}: the specular colours of material {quoted(name)} are left out; it is drawn as a non-metal")
 
     def _with_surface(self, material: Material, source: dict[str, Any], mapping: _UvMapping) -> Material:
         """Returns the material with metallic, roughness and emissive factors and the other textures."""
@@ -405,6 +613,11 @@ class _GltfReader:
         gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
         # By the standard, a material without these keys is a rough metal; exporters that omit all of them mean a non-metal.
         unspecified = not {"metallicFactor", "roughnessFactor", "metallicRoughnessTexture"} & set(pbr)
+        if unspecified and not gloss:
+            self.warn(
+                f"{self.path}: materials without metallicFactor and roughnessFactor are drawn matte; by the specification they are rough "
+                "metal, which few exporters mean. Give metallicFactor 1 for metal"
+            )
         metallic, roughness = (0.0, 1.0) if unspecified else (pbr.get("metallicFactor", 1.0), pbr.get("roughnessFactor", 1.0))
         if unspecified and "glossinessFactor" in gloss:
             roughness = 1.0 - float(gloss["glossinessFactor"])
@@ -432,7 +645,17 @@ class _GltfReader:
             return None
         if source not in self._images:
             self._images[source] = self._image(source)
-        return self._images[source]
+        image = self._images[source]
+        return image and self.textures.with_sampling(image, self._sampling(texture))
+
+    def _sampling(self, texture: dict[str, Any]) -> Sampling:
+        """Returns how a texture is read between and beyond its pixels."""
+        if "sampler" not in texture:
+            return Sampling()
+        sampler = self._item("samplers", texture["sampler"])
+        minified, between_levels = _MINIFIED[sampler.get("minFilter", 9987)]
+        wraps = (_WRAPS[sampler.get("wrapS", 10497)], _WRAPS[sampler.get("wrapT", 10497)])
+        return Sampling(*wraps, "nearest" if sampler.get("magFilter") == 9728 else "linear", minified, between_levels)
 
     def _image(self, index: int) -> Any:
         image = self._item("images", index)
@@ -441,7 +664,9 @@ class _GltfReader:
             view = self._item("bufferViews", image["bufferView"])
             data = self._view(image["bufferView"], 0, np.dtype("u1"), int(view["byteLength"]), 1).tobytes()
             return self.textures.from_bytes(name, data, self.warn)
-        uri = image["uri"]
+        uri = image.get("uri")
+        if uri is None:
+            raise MeshError(f"{self.path}: image {index} has neither uri nor bufferView; the file is broken, export it again")
         if uri.startswith("data:"):
             return self.textures.from_bytes(name, _data_uri(uri), self.warn)
         return self.textures.from_uri(uri, self.path, self.files, self.warn)

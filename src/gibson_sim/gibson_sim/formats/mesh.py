@@ -32,14 +32,34 @@ TO_Z_UP: dict[UpAxis, F64] = {
 """Up axis of the file -> R_zup_file, (3, 3) (COLLADA 1.4.1, up_axis); exact, without rounding."""
 
 
+Wrap = Literal["repeat", "mirror", "clamp"]
+"""What lies beyond the borders of an image: the image again, its mirror image, or the pixels at the border."""
+Filter = Literal["nearest", "linear"]
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How an image is read beyond its borders and between its pixels."""
+
+    wrap_u: Wrap = "repeat"
+    wrap_v: Wrap = "repeat"
+    magnified: Filter = "linear"
+    """Filter where a pixel of the image covers several of the picture."""
+    minified: Filter = "linear"
+    """Filter where several pixels of the image fall on one of the picture."""
+    between_levels: Filter | None = "linear"
+    """Filter between mip levels; None = without mip levels."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TextureSource:
-    """A decoded image. Parts with the same image share one object, so that ``id()`` identifies textures."""
+    """A decoded image. Parts with the same image and sampling share one object, so that ``id()`` identifies textures."""
 
     name: str
     """Path of the image file, or file and index for an embedded image."""
     pixels: NDArray[np.uint8]
     """Pixels, (H, W, 3) RGB or (H, W, 4) RGBA uint8, sRGB, row 0 = top."""
+    sampling: Sampling = Sampling()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +95,7 @@ class Material:
     occlusion_strength: float = 1.0
     """Strength of the occlusion, 0 to 1."""
     colored: bool = False
-    """Whether vertex colours (``MeshPart.colors``) multiply ``base_color`` in place of a texture."""
+    """Whether vertex colours (``MeshPart.colors``) multiply ``base_color`` and ``texture``."""
 
     @property
     def has_maps(self) -> bool:
@@ -98,7 +118,7 @@ class MeshPart:
     """Vertex indices of the triangles, (F, 3)."""
     material: Material = field(default_factory=Material)
     colors: NDArray[np.uint8] | None = None
-    """Vertex colours, (V, 3) uint8 sRGB, if the material is ``colored``; else None."""
+    """Vertex colours, (V, 3) uint8 sRGB, or (V, 4) with alpha, which is linear, if the material is ``colored``; else None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,7 +233,8 @@ def build_part(
         uvs: (V, 2), v downwards, or None.
         material: the material.
         matrix: (4, 4) affine transform of the vertices and normals; None = the identity.
-        colors: vertex colours, (V, 3) uint8 sRGB, or None; ignored if the material has a texture.
+        colors: vertex colours, (V, 3) uint8 sRGB, or (V, 4) with alpha, or None. They stand in for a missing texture; if the material
+            is already ``colored``, they multiply its texture.
 
     Raises:
         MeshError: an index is out of range, or a coordinate is NaN or infinite.
@@ -250,8 +271,8 @@ def build_part(
     n = _fill_normals(v, t, n)
     with np.errstate(over="ignore"):
         uv32 = None if uv is None else np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
-    colors = None if material.texture is not None else colors
-    material = material if colors is None else replace(material, colored=True)
+    colors = colors if material.texture is None or material.colored else None
+    material = material if material.colored == (colors is not None) else replace(material, colored=colors is not None)
     return MeshPart(v32, n.astype(np.float32), uv32, np.ascontiguousarray(t, dtype=np.uint32), material, colors)
 
 

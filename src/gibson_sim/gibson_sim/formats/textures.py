@@ -17,7 +17,7 @@ from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.file_roots import find_ignoring_case, is_inside
 from gibson_sim.formats.image_header import MAX_IMAGE_BYTES, MAX_PIXELS, image_size
-from gibson_sim.formats.mesh import TextureSource
+from gibson_sim.formats.mesh import Sampling, TextureSource
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder, read_file
 
@@ -53,6 +53,8 @@ class TextureStore:
         self._inside: dict[tuple[Path, tuple[Path, ...]], bool] = {}
         """(Image, roots) -> whether it lies in them; cached, since many meshes reference one image."""
         self._encoded: dict[int, tuple[TextureSource, bytes]] = {}
+        self._sampled: dict[tuple[int, Sampling], tuple[TextureSource, TextureSource]] = {}
+        """(``id()`` of a texture, sampling) -> the texture, and the same image with that sampling."""
 
     def within(self, roots: Sequence[Path]) -> TextureStore:
         """Returns a store with other roots that shares the decoded images."""
@@ -128,6 +130,18 @@ class TextureStore:
         if self.decode == "sizes":
             self._encoded[id(source)] = (source, data)
         return source
+
+    def with_sampling(self, texture: TextureSource, sampling: Sampling) -> TextureSource:
+        """Returns the image of a texture of this store with another sampling; one object for equal arguments."""
+        if sampling == texture.sampling:
+            return texture
+        key = (id(texture), sampling)
+        if key not in self._sampled:
+            other = TextureSource(texture.name, texture.pixels, sampling)
+            self._sampled[key] = (texture, other)
+            if id(texture) in self._encoded:
+                self._encoded[id(other)] = (other, self._encoded[id(texture)][1])
+        return self._sampled[key][1]
 
     def encoded(self, texture: TextureSource) -> bytes:
         """Returns the encoded image of a texture of this store, whose ``decode`` is "sizes".

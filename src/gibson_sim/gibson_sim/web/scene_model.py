@@ -103,7 +103,8 @@ def _vertices(part: MeshPart, matrix: NDArray[np.float64], color: tuple[float, .
     base = np.array(part.material.base_color if color is None else color, dtype=np.float64)
     vertices["color"] = np.round(np.clip(base, 0.0, 1.0) * 255.0)
     if color is None and part.colors is not None and part.material.colored:
-        vertices["color"][:, :3] = np.round(part.colors[:, :3] * np.clip(base[:3], 0.0, 1.0))
+        channels = part.colors.shape[1]
+        vertices["color"][:, :channels] = np.round(part.colors * np.clip(base[:channels], 0.0, 1.0))
     return vertices
 
 

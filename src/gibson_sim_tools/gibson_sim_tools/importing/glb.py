@@ -101,5 +101,10 @@ class _Materials:
 
 
 def _linear16_rgba(colors: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Returns linear RGBA, (V, 4) uint16, alpha 1, from sRGB colours (V, 3)."""
-    return np.concatenate([linear16_from_srgb8(colors), np.full((len(colors), 1), 65535, dtype=np.uint16)], axis=1)
+    """Returns linear RGBA, (V, 4) uint16, from ``MeshPart.colors``; without alpha it is 1."""
+    alpha = (
+        colors[:, 3:].astype(np.uint16) * np.uint16(257)
+        if colors.shape[1] == 4
+        else np.full((len(colors), 1), 65535, dtype=np.uint16)
+    )
+    return np.concatenate([linear16_from_srgb8(colors[:, :3]), alpha], axis=1)

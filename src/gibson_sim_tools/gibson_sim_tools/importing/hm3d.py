@@ -68,7 +68,7 @@ def _read_list(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, s
 def _triangle_colors(part: MeshPart) -> NDArray[np.uint8]:
     """Returns the colour at the centre of each triangle, (F, 3) uint8 sRGB."""
     if part.colors is not None:
-        return part.colors[part.triangles[:, 0]]
+        return part.colors[part.triangles[:, 0], :3]
     texture = part.material.texture
     if texture is None or part.uvs is None:
         plain = np.rint(np.array(part.material.base_color[:3]) * 255.0).astype(np.uint8)

@@ -79,7 +79,7 @@ def _sample_part(
     triangles = part.triangles[triangle_of_point]
     weights = _barycentric(corners[triangle_of_point], points)
     if part.colors is not None and color is None:
-        colors *= np.einsum("nk,nkc->nc", weights, linear_from_srgb(part.colors[triangles] / 255.0))
+        colors *= np.einsum("nk,nkc->nc", weights, linear_from_srgb(part.colors[:, :3][triangles] / 255.0))
     texture = part.material.texture
     if texture is not None and part.uvs is not None and color is None:
         uv = np.einsum("nk,nkc->nc", weights, part.uvs[triangles].astype(np.float64))

@@ -66,7 +66,7 @@ def surface_from_mesh(mesh: Mesh) -> Surface:
     colors = None
     if all(part.colors is not None for part in mesh.parts):
         part_vertices = np.concatenate([part.vertices for part in mesh.parts]).astype(np.float64)
-        part_colors = np.concatenate([part.colors for part in mesh.parts if part.colors is not None])
+        part_colors = np.concatenate([part.colors[:, :3] for part in mesh.parts if part.colors is not None])
         colors = part_colors[cKDTree(part_vertices).query(vertices)[1]]
     return Surface(vertices, triangles, colors)
 

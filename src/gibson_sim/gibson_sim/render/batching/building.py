@@ -93,7 +93,7 @@ def build_geometry(
                 maps = map_sets.setdefault(tuple(map(id, map_set)), (len(map_sets), map_set))[0]
             row = table.row(material if part.uvs is not None else replace(material, texture=None), visual.appearance)
             vertices = _vertices(part, row, T_link_visual, label)
-            colored = material.colored and part.colors is not None
+            colored = material.colored and part.colors is not None and texture is None
             if colored:
                 vertices["uv"] = _packed_colors(part.colors)
             for closed in (False, True):
@@ -164,5 +164,5 @@ def _packed_colors(colors: NDArray[np.uint8] | None) -> F32:
     """Returns sRGB colours, (V, 3), as (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit integers."""
     assert colors is not None
     out = np.zeros((len(colors), 4), dtype="<u2")
-    out[:, :3] = linear16_from_srgb8(colors)
+    out[:, :3] = linear16_from_srgb8(colors[:, :3])
     return out.view("<f4")

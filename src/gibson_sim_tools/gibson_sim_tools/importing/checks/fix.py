@@ -421,4 +421,4 @@ class _Textures:
         if factor < 1.0:
             size = (max(1, round(columns * factor)), max(1, round(rows * factor)))
             pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        return TextureSource(texture.name, pixels)
+        return TextureSource(texture.name, pixels, texture.sampling)
