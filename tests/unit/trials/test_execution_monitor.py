@@ -106,6 +106,16 @@ def test_what_was_told_before_the_goal_does_not_count() -> None:
     assert pass_time(monitor, 0.0, 5.0, AT_GOAL, 0.0)[0] is None
 
 
+def test_long_status_text_is_cut_with_a_mark_and_still_matches_at_its_end() -> None:
+    monitor = monitor_of(TELLS)
+    monitor.give_goal(0)
+    monitor.receive_status("x" * 7_000_000 + " reached")
+    assert monitor.status == "x" * 2000 + " [... 6998008 characters cut ...]"
+    assert monitor.end_was_reported
+    monitor.receive_status("y" * 2000)
+    assert monitor.status == "y" * 2000
+
+
 def test_result_of_an_action_decides() -> None:
     monitor = monitor_of(StackSpec(("stack",), goal=GoalInterface("action", "navigate", "a_msgs/action/Go")))
     monitor.give_goal(0)

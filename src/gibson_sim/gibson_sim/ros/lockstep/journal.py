@@ -15,6 +15,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
 from gibson_msgs.msg import Input
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.ros import conversions
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, type_name_of
@@ -22,6 +23,8 @@ from gibson_sim.standard.requests import EPOCH_REQUESTS
 from gibson_sim.standard.simulator import Simulator
 
 logger = logging.getLogger(__name__)
+_MAX_LENGTH = 300
+"""Largest length of the reason why an input cannot be read, characters."""
 
 
 @dataclass(order=True, slots=True)
@@ -73,7 +76,8 @@ class Journal:
         try:
             message = deserialize_message(bytes(msg.data), message_class(msg.type))
         except (*UNKNOWN, RuntimeError) as error:
-            logger.warning("an input for %s is ignored: its type %r or its data cannot be read: %s", msg.name, msg.type, error)
+            text = "an input for %s is ignored: its type %s or its data cannot be read: %s"
+            logger.warning(text, quoted(msg.name), quoted(msg.type), clipped(str(error), _MAX_LENGTH))
         else:
             self._count += 1
             heapq.heappush(self._scheduled, _ScheduledInput(msg.epoch, msg.step, self._count, msg.name, message))
@@ -89,7 +93,7 @@ class Journal:
             item = heapq.heappop(self._scheduled)
             if (item.epoch, item.step) < now:
                 self.late += 1
-                logger.warning("an input for %s arrived after its step %d of epoch %d", item.name, item.step, item.epoch)
+                logger.warning("an input for %s arrived after its step %d of epoch %d", quoted(item.name), item.step, item.epoch)
             due.append((item.name, item.message))
             if item.name.endswith(EPOCH_REQUESTS):
                 break  # the inputs after it may belong to the next epoch

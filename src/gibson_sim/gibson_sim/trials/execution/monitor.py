@@ -24,6 +24,8 @@ PATIENCE_NS = 5 * NS_PER_S
 _GRID_NS = NS_PER_S // 2
 _TEXT = 200
 """Largest length of a quoted report, characters."""
+MAX_STATUS = 2000
+"""Largest kept length of a status text, characters: it is stored in the files of the run and of the trial."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class RunMonitor:
         self.goal_ns = self.now_ns = -1
         """Stamps of the goal and of the latest tick, ns; -1 = none."""
         self.status = ""
-        """Latest status text of the stack."""
+        """Latest status text of the stack, at most ``MAX_STATUS`` characters of it, then a mark that says how many were cut."""
         self._reported: Decision | None = None
         self._still_since_ns: int | None = None
         self._distance = math.inf
@@ -56,7 +58,7 @@ class RunMonitor:
 
     def receive_status(self, text: str) -> None:
         """Handles a text on the status topic; the latest text that matches counts."""
-        self.status = text
+        self.status = _bounded(text)
         detail = f"the stack reports {clipped(text, _TEXT)!r}"
         if self._failed.search(text):
             self._report("gave up", detail)
@@ -145,3 +147,9 @@ class RunMonitor:
 
     def _time_limit_text(self, run_ns: int) -> str:
         return f"{run_ns / NS_PER_S:g} s after the goal was sent, {self._distance:.2f} m from it; the limit is {self._plan.limits.time:g} s"
+
+
+def _bounded(text: str) -> str:
+    """Returns a status text whose end is replaced by a mark if the text is too long."""
+    cut = len(text) - MAX_STATUS
+    return text if cut <= 0 else f"{text[:MAX_STATUS]} [... {cut} characters cut ...]"
