@@ -24,7 +24,6 @@ from simulation_interfaces import msg as sim_msg, srv
 from fuzz import seeds
 from fuzz.grammar import SECRET, SECRET_NUMBER, Mutator
 from fuzz.requests import change, command, fill_spawn
-from fuzz.trial import LIMIT_S, slowness
 from gibson_sim.description.urdf import read_urdf
 from support.scenes import write_room
 from support.simulation import PATIENCE_S, Launched, Listener
@@ -92,7 +91,6 @@ class ServiceFuzzer:
             j.name for j in read_urdf(seeds.ROOT / "config/robots" / ROBOT / f"{ROBOT}.urdf").joints if j.kind != "fixed"
         )
         self._files = self._write_files()
-        self._limit_s = LIMIT_S * slowness()
         self._last = ""
         self._things: list[str] = []
         self._worlds = False
@@ -223,8 +221,6 @@ class ServiceFuzzer:
     def _judge(self, name: str, request: Any, response: Any, took: float) -> None:
         if took > self.report.slowest_s:
             self.report.slowest_s, self.report.slowest = took, name
-        if took > self._limit_s:
-            self._fault(f"{name}: the answer took {took:.2f} s, at most {self._limit_s:.2f} s are allowed here")
         result = getattr(response, "result", None)
         text = getattr(result, "error_message", "") if result is not None else ""
         if result is None or not hasattr(result, "result") or result.result == result.RESULT_OK:

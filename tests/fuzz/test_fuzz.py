@@ -12,8 +12,8 @@ from fuzz.grammar import SECRET, Mutator
 from fuzz.runner import Fuzzer
 from fuzz.seeds import yaml_text
 from fuzz.targets import TARGETS, write_mutant
-from fuzz.trial import Trial
-from fuzz.worker import mutator_of
+from fuzz.trial import Outcome, Trial
+from fuzz.worker import mutator_of, slow_fault
 
 SEED = 1
 MUTANTS = 4
@@ -52,6 +52,16 @@ def test_inputs_without_a_change_are_whole_and_a_foreign_exception_is_a_fault(fu
     assert fuzzer.try_folder("mesh", tmp_path / "whole")["reached"] in ("renderer", "physics")  # without EGL nothing is drawn
     (tmp_path / "empty" / "files").mkdir(parents=True)
     assert "foreign exception" in fuzzer.try_folder("mesh", tmp_path / "empty")["faults"][0]
+
+
+@pytest.mark.parametrize(
+    ("slowest_s", "unchanged_s", "faulty"),
+    [(1.75, 0.01, False), (9.0, 0.01, False), (30.0, 2.0, False), (30.0, 1.0, True)],
+    ids=["a busy machine", "not yet suspicious", "slow as the unchanged input", "much slower than the unchanged input"],
+)
+def test_call_is_slow_only_beside_the_unchanged_input(slowest_s: float, unchanged_s: float, faulty: bool) -> None:
+    outcome = Outcome(slowest="load_run", slowest_s=slowest_s)
+    assert bool(slow_fault(outcome, lambda: unchanged_s)) is faulty
 
 
 def test_reply_that_tells_what_stands_in_a_file_is_a_fault() -> None:

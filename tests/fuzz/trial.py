@@ -8,17 +8,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from fuzz.grammar import SECRET, SECRET_NUMBER
 from gibson_sim.errors import GibsonSimError
 
 T = TypeVar("T")
-LIMIT_S = 1.0
-"""An answer may take so long on a machine that takes ``REFERENCE_S`` for ``reference_work``."""
-REFERENCE_S = 0.08
-SLOW_CALLS = {"renderer": 4.0, "render": 2.0}
-"""Calls that may take so many times as long: nobody waits for their answer, and drawing is in software here."""
+SUSPICIOUS_S = 10.0
+"""Processor time from which on a call is compared with what the unchanged input takes on this machine at that moment, seconds."""
+SLOW_FACTOR = 20.0
+"""A suspicious call is a fault if it takes more than this many times as long as the whole trial of the unchanged input."""
 LIMIT_MB = 600.0
 """Megabytes that a mutant may need for a moment."""
 LONGEST_MESSAGE = 5000
@@ -60,7 +57,7 @@ class Trial:
 
     outcome: Outcome = field(default_factory=Outcome)
     times: dict[str, float] = field(default_factory=dict)
-    """Seconds, of slow calls the part of them that counts."""
+    """Processor time of each call, seconds."""
 
     def call(
         self, name: str, function: Callable[..., T], *args: Any, secret: bool = False, go_on: bool = False, **kwargs: Any
@@ -89,7 +86,7 @@ class Trial:
         finally:
             # Other processes make wall time longer, threads make CPU time longer; what it takes is no more than either.
             took = min(time.process_time() - cpu, time.monotonic() - wall)
-            self.times[name] = max(took / SLOW_CALLS.get(name, 1.0), self.times.get(name, 0.0))
+            self.times[name] = max(took, self.times.get(name, 0.0))
 
     def judge(self, name: str, error: GibsonSimError, *, secret: bool) -> None:
         """Looks at the text of an error."""
@@ -117,23 +114,6 @@ class Trial:
     def fault(self, text: str) -> None:
         """Notes a fault."""
         self.outcome.faults.append(" ".join(text.split()))
-
-
-def reference_work() -> float:
-    """Returns how long a fixed piece of work takes, seconds: interpreting, and numpy."""
-    begin = time.thread_time()
-    total = 0
-    for k in range(500_000):
-        total += k & 7
-    values = np.arange(200_000, dtype=np.float64)
-    for _ in range(10):
-        values = np.sort(np.sin(values))
-    return time.thread_time() - begin
-
-
-def slowness() -> float:
-    """Returns how many times slower this machine is now than the one that limits are for; at least 1."""
-    return max(1.0, min(reference_work() for _ in range(2)) / REFERENCE_S)
 
 
 def memory_mb() -> float:
