@@ -32,7 +32,11 @@ def _closed_share(*parts: MeshPart, opaque: tuple[bool, ...] = ()) -> list[float
     return [float(mask.mean()) for mask in find_closed_surfaces(parts, opaque or (True,) * len(parts)).triangles]
 
 
-@pytest.mark.parametrize("shape", [BOX, BALL, ROLLER], ids=["box", "sphere", "cylinder"])
+@pytest.mark.parametrize(
+    "shape",
+    [BOX, BALL, ROLLER, Shape("capsule", (0.1, 0.3, 0.0)), Shape("ellipsoid", (0.1, 0.2, 0.3)), Shape("cone", (0.2, 0.4, 0.0))],
+    ids=lambda shape: str(shape.kind),
+)
 def test_primitives_are_closed_to_the_bit(shape: Shape) -> None:
     part = _part(shape)
     assert _closed_share(part) == [1.0]

@@ -274,7 +274,7 @@ def test_impossible_values_are_named(tmp_path: Path, content: str, value: str) -
     assert any(value in warning and "link a" in warning for warning in model.warnings)
 
 
-@pytest.mark.parametrize("geometry", ["heightmap", "capsule", "polyline"])
+@pytest.mark.parametrize("geometry", ["heightmap", "polyline"])
 def test_geometry_that_cannot_be_read_is_named(tmp_path: Path, geometry: str) -> None:
     model = _read(tmp_path, f'<link name="a"><collision name="c"><geometry><{geometry}/></geometry></collision></link>').model
     assert _kinds(model) == {OmissionKind.UNSUPPORTED_ELEMENT}

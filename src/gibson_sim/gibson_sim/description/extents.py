@@ -24,7 +24,7 @@ _CIRCLE = np.linspace(0.0, 2 * np.pi, 73)[:-1]
 def shape_points(shape: Shape, points: MeshPoints | None = None) -> NDArray[np.float64] | None:
     """Returns points that span a shape, (N, 3), in its frame, metres; None = the mesh cannot be read.
 
-    The points are exact along the axes of the shape: the corners of a box, circles of 72 points on spheres and on both ends of cylinders.
+    The points are exact along the axes of the shape: the corners of a box, circles of 72 points on round shapes.
     """
     if shape.kind == "mesh":
         if points is None:
@@ -36,17 +36,32 @@ def shape_points(shape: Shape, points: MeshPoints | None = None) -> NDArray[np.f
     if shape.kind == "box":
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.asarray(signs * np.array(shape.size) / 2, dtype=np.float64)
-    circle = shape.size[0] * np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE), 0 * _CIRCLE], axis=-1)
+    circle = np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE), 0 * _CIRCLE], axis=-1)
+    half_length = np.array([0.0, 0.0, shape.size[1] / 2])
+    if shape.kind == "cone":
+        return np.concatenate([shape.size[0] * circle - half_length, half_length[None]])
+    if shape.kind == "cylinder":
+        return np.concatenate([shape.size[0] * circle + h * half_length for h in (-1, 1)])
+    circles = np.concatenate([circle, circle[:, [2, 0, 1]], circle[:, [1, 2, 0]]])
+    if shape.kind == "ellipsoid":
+        return np.asarray(circles * np.array(shape.size))
+    sphere = shape.size[0] * circles
     if shape.kind == "sphere":
-        return np.concatenate([circle, circle[:, [2, 0, 1]], circle[:, [1, 2, 0]]])
-    return np.concatenate([circle + np.array([0.0, 0.0, h * shape.size[1] / 2]) for h in (-1, 1)])
+        return sphere
+    return np.concatenate([sphere[sphere[:, 2] >= 0] + half_length, sphere[sphere[:, 2] <= 0] - half_length])
 
 
 def reach(shape: Shape, T_root_shape: Mat4, points: MeshPoints | None = None) -> tuple[float, float] | None:
-    """Returns (maximum distance from the z axis, maximum z), metres, exact except for the radius of tilted cylinders; None = unreadable mesh."""
+    """Returns (maximum distance from the z axis, maximum z), metres; None = unreadable mesh.
+
+    They are exact, except for the radius of tilted cylinders, and for ellipsoids and cones, which are measured at points on their surface.
+    """
     center, rotation = T_root_shape[:3, 3], T_root_shape[:3, :3]
-    if shape.kind == "sphere":
-        return float(np.hypot(center[0], center[1])) + shape.size[0], float(center[2]) + shape.size[0]
+    if shape.kind in ("sphere", "capsule"):
+        # A capsule spans two spheres.
+        offset = rotation[:, 2] * (shape.size[1] / 2 if shape.kind == "capsule" else 0.0)
+        ends = center + np.array([[-1.0], [1.0]]) * offset
+        return float(np.hypot(ends[:, 0], ends[:, 1]).max()) + shape.size[0], float(ends[:, 2].max()) + shape.size[0]
     local = shape_points(shape, points)
     if local is None:
         return None

@@ -135,7 +135,7 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: b
 
     Args:
         model: The links.
-        groups: Their groups.
+        groups: Their groups; their shapes are meshes, boxes, spheres, cylinders and capsules.
         concave: Whether meshes collide as triangle meshes, which is only for bodies that never move; else the engine uses convex hulls.
     """
     robot = ET.Element("robot", name=model.name)
@@ -266,8 +266,8 @@ def _geometry(collision: ET.Element, shape: Shape) -> None:
         ET.SubElement(geometry, "box", size=_text(*shape.size))
     elif shape.kind == "sphere":
         ET.SubElement(geometry, "sphere", radius=_text(shape.size[0]))
-    else:
-        ET.SubElement(geometry, "cylinder", radius=_text(shape.size[0]), length=_text(shape.size[1]))
+    else:  # a cylinder or a capsule; the caller has replaced shapes that URDF has not by meshes
+        ET.SubElement(geometry, shape.kind, radius=_text(shape.size[0]), length=_text(shape.size[1]))
 
 
 def _origin(element: ET.Element, transform: Mat4) -> None:

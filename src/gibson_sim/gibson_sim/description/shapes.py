@@ -10,7 +10,9 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.types import Pose, Rgba, Vec3
 
-ShapeKind = Literal["mesh", "box", "sphere", "cylinder"]
+ShapeKind = Literal["mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid", "cone"]
+ROUND_KINDS: tuple[ShapeKind, ...] = ("sphere", "cylinder", "capsule")
+"""Kinds that roll: their first size is their radius about z."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +21,8 @@ class Shape:
 
     kind: ShapeKind
     size: Vec3 = (1.0, 1.0, 1.0)
-    """Size: mesh: scale factors along x, y, z; box: edge lengths; sphere: (radius, 0, 0); cylinder about z: (radius, length, 0); m."""
+    """Size: mesh: scale factors along x, y, z; box: edge lengths; sphere: (radius, 0, 0); ellipsoid: radii along x, y, z; about z, m:
+    cylinder and cone (base down, origin halfway up): (radius, length, 0); capsule: (radius, length without its half spheres, 0)."""
     mesh: str = ""
     """Absolute path of the mesh file; empty for primitives."""
 

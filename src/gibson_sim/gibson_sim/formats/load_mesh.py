@@ -199,15 +199,17 @@ def mesh_folders(shapes: Iterable[Shape]) -> tuple[Path, ...]:
 
 @lru_cache(maxsize=256)
 def primitive_mesh(shape: Shape) -> Mesh:
-    """Returns the mesh of a box, sphere or cylinder (about z), centred at the origin, metres.
+    """Returns the mesh of a primitive in its own frame, metres.
 
     Raises:
         MeshError: the shape is not a primitive, or a size is not above 0.
     """
-    builders: dict[str, Callable[[float, float, float], _Geometry]] = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
+    builders: dict[str, Callable[[float, float, float], _Geometry]] = {
+        "box": _box, "sphere": _sphere, "cylinder": _cylinder, "capsule": _capsule, "ellipsoid": _ellipsoid, "cone": _cone,
+    }  # fmt: skip
     if shape.kind not in builders:
         raise MeshError(f"shape {quoted(shape.kind)} is not a primitive; known: {', '.join(builders)}")
-    size_count = {"box": 3, "sphere": 1, "cylinder": 2}[shape.kind]
+    size_count = {"box": 3, "sphere": 1, "ellipsoid": 3}.get(shape.kind, 2)
     if not all(math.isfinite(s) and s > 0 for s in shape.size[:size_count]):
         raise MeshError(f"{shape.kind}: size is {tuple(shape.size)}, the first {size_count} must be finite and above 0 (metres)")
     vertices, normals, uvs, triangles = builders[shape.kind](*shape.size)
@@ -258,6 +260,48 @@ def _sphere(radius: float, _y: float, _z: float) -> _Geometry:
     area = areas_of((radius * normals)[triangles])
     # Half of the triangles at the poles have no area.
     return radius * normals, normals, np.stack([u.ravel(), v.ravel()], 1), triangles[area > 5e-10 * radius * radius]
+
+
+def _ellipsoid(x: float, y: float, z: float) -> _Geometry:
+    _, sphere, uvs, triangles = _sphere(1.0, 0.0, 0.0)
+    radii = np.array([x, y, z])
+    normals = sphere / radii
+    return sphere * radii, normals / np.linalg.norm(normals, axis=1, keepdims=True), uvs, triangles
+
+
+def _capsule(radius: float, length: float, _z: float) -> _Geometry:
+    vertices, normals, uvs, triangles = _sphere(radius, 0.0, 0.0)
+    # The equator occurs twice, at both ends of the cylinder.
+    columns, rings = SEGMENTS + 1, SEGMENTS // 2
+    rows = np.concatenate([np.arange(rings // 2 + 1), np.arange(rings // 2, rings + 1)])
+    index = (rows[:, None] * columns + np.arange(columns)).ravel()
+    shift = np.zeros((len(index), 3))
+    shift[:, 2] = np.repeat(np.where(np.arange(len(rows)) <= rings // 2, 0.5, -0.5) * length, columns)
+    vertices = vertices[index] + shift
+    triangles = _grid(len(rows), columns)
+    # Half of the triangles at the poles have no area.
+    return vertices, normals[index], uvs[index], triangles[areas_of(vertices[triangles]) > 5e-10 * radius * min(radius, length)]
+
+
+def _cone(radius: float, length: float, _z: float) -> _Geometry:
+    """Returns a cone about z, its base down; its apex has one vertex per triangle, since each has another normal."""
+    circle, n, k = _circle(), SEGMENTS + 1, np.arange(SEGMENTS)
+    base = np.column_stack([circle * radius, np.full(n, -length / 2)])
+    apex = np.tile([0.0, 0.0, length / 2], (SEGMENTS, 1))
+    slant = math.hypot(radius, length)
+    around = np.column_stack([circle * length, np.full(n, radius)]) / slant
+    middle = around[:-1] + around[1:]
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    down = np.array([[0.0, 0.0, -1.0]])
+    vertices = np.concatenate([base, apex, base, [[0.0, 0.0, -length / 2]]])
+    normals = np.concatenate([around, middle, np.repeat(down, n + 1, 0)])
+    strip = np.linspace(0, 1, n)
+    uvs = np.concatenate(
+        [np.stack([strip, 0 * strip + 1], 1), np.stack([strip[:-1], 0 * strip[:-1]], 1), 0.5 + 0.5 * circle, [[0.5, 0.5]]]
+    )
+    side = np.stack([n + k, k, k + 1], 1)
+    bottom = np.stack([np.full(SEGMENTS, 2 * n + SEGMENTS), n + SEGMENTS + k + 1, n + SEGMENTS + k], 1)
+    return vertices, normals, uvs, np.concatenate([side, bottom])
 
 
 def _cylinder(radius: float, length: float, _z: float) -> _Geometry:

@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from gibson_sim.description.body import BodySpec
 from gibson_sim.description.rigid_groups import MOVING_TYPES, RigidGroup, physics_urdf, rigid_groups
-from gibson_sim.description.shapes import Shape
+from gibson_sim.description.shapes import Shape, ShapeKind
 from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.errors import MeshError, PhysicsError
 from gibson_sim.formats.load_mesh import load_shape
@@ -38,6 +38,8 @@ from gibson_sim.types import Pose, Vec3
 
 _ENGINE_MESHES = (".obj",)
 """Formats read by the engine itself, with one convex hull per object in the file."""
+_ENGINE_PRIMITIVES: tuple[ShapeKind, ...] = ("box", "sphere", "cylinder", "capsule")
+"""Kinds that the engine has itself; the others become convex hulls."""
 _MAX_ENGINE_BYTES = 2_000_000
 """Largest file read by the engine itself, which takes 0.1 s and blocks the simulation. ``prepare_meshes`` computes the hulls of larger files in
 another thread."""
@@ -276,9 +278,9 @@ class BodyInWorld:
         return replace(group, collisions=collisions)
 
     def _engine_shape(self, bullet: Bullet, shape: Shape) -> Shape:
-        if shape.kind != "mesh":
+        if shape.kind in _ENGINE_PRIMITIVES:
             return shape
-        if not self._concave and _engine_reads(shape.mesh):
+        if shape.kind == "mesh" and not self._concave and _engine_reads(shape.mesh):
             return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh)))
         text = mesh_obj(shape) if self._concave else to_obj(*hull_of(shape)).encode()
         return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_obj(text)))
@@ -307,8 +309,8 @@ class _LinkShapes:
 
 
 def _planes(shape: Shape) -> F64:
-    """Returns the outward planes, (P, 4), of the convex hull of a mesh; (0, 4) for other shapes and for flat meshes."""
-    if shape.kind != "mesh":
+    """Returns the outward planes, (P, 4), of the convex hull of a mesh, ellipsoid or cone; (0, 4) for other shapes and for flat meshes."""
+    if shape.kind in _ENGINE_PRIMITIVES:
         return np.zeros((0, 4))
     vertices, _ = load_shape(shape).merged()
     try:
@@ -322,6 +324,9 @@ def _distance(T_shape_group: Mat4, shape: Shape, planes: F64, point: F64) -> flo
     local = T_shape_group[:3, :3] @ point + T_shape_group[:3, 3]
     if shape.kind == "sphere":
         return float(np.linalg.norm(local)) - shape.size[0]
+    if shape.kind == "capsule":
+        beyond = max(abs(float(local[2])) - shape.size[1] / 2, 0.0)
+        return math.hypot(local[0], local[1], beyond) - shape.size[0]
     if shape.kind == "box":
         return _outside([abs(c) - size / 2 for c, size in zip(local.tolist(), shape.size, strict=True)])
     if shape.kind == "cylinder":
@@ -342,7 +347,7 @@ def _corners(shape: Shape) -> F64:
     if shape.kind == "box":
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.asarray(signs * np.array(shape.size) / 2)
-    if shape.kind == "mesh":
+    if shape.kind not in _ENGINE_PRIMITIVES:
         vertices, _ = load_shape(shape).merged()
         return vertices
     return np.zeros((0, 3))
@@ -356,6 +361,8 @@ def _extent(shape: Shape, T_frame_shape: Mat4, points: F64) -> tuple[F64, F64]:
     center, radius = T_frame_shape[:3, 3], shape.size[0]
     if shape.kind == "sphere":
         reach = np.full(3, radius)
+    elif shape.kind == "capsule":
+        reach = np.abs(T_frame_shape[:3, 2]) * shape.size[1] / 2 + radius
     else:
         axis = T_frame_shape[:3, 2]
         reach = np.abs(axis) * shape.size[1] / 2 + radius * np.sqrt(np.maximum(0.0, 1.0 - axis**2))

@@ -152,6 +152,14 @@ class Bullet:
         """Creates a cylinder about z, metres, and returns its shape indices."""
         return [self._add_shape(_Shape("cylinder", {"shapeType": p.GEOM_CYLINDER, "radius": radius, "height": length}))]
 
+    def capsule_shape(self, radius: float, length: float) -> list[int]:
+        """Creates a capsule about z, metres, and returns its shape indices; ``length``: without its half spheres."""
+        return [self._add_shape(_Shape("capsule", {"shapeType": p.GEOM_CAPSULE, "radius": radius, "height": length}))]
+
+    def hull_shape(self, vertices: NDArray[np.float64], name: str) -> list[int]:
+        """Creates the convex hull of ``vertices``, (V, 3), metres, and returns its shape indices; ``name`` is for error messages."""
+        return [self._add_shape(_Shape(name, {"shapeType": p.GEOM_MESH, "vertices": listed_for_ever(vertices)}))]
+
     def mesh_shape(self, vertices: NDArray[np.float64], triangles: NDArray[np.int64], name: str) -> list[int]:
         """Creates a triangle mesh, hollow and with all its triangles, in as many pieces as PyBullet's limits require; returns their indices.
 

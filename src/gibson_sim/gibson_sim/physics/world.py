@@ -535,11 +535,15 @@ def _static_shape(bullet: Bullet, loader: MeshLoader, shape: Shape, name: str, w
         return bullet.sphere_shape(shape.size[0])
     if shape.kind == "cylinder":
         return bullet.cylinder_shape(shape.size[0], shape.size[1])
+    if shape.kind == "capsule":
+        return bullet.capsule_shape(shape.size[0], shape.size[1])
     try:
         vertices, triangles = loader.shape(shape).merged()
     except MeshError as error:
         warnings.append(f"collision {quoted(name)} is left out: {error}")
         return []
+    if shape.kind != "mesh":  # an ellipsoid or a cone
+        return bullet.hull_shape(vertices, shape.kind)
     valid = non_degenerate_triangles(vertices, triangles)
     if not len(valid):
         warnings.append(f"collision {quoted(name)} is left out: {shape.mesh} has no triangle with an area")

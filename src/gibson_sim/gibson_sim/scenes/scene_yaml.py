@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gibson_sim.description.body import BodySpec
 from gibson_sim.description.rigid_groups import MOVING_TYPES
 from gibson_sim.description.scaling import scaled_model
-from gibson_sim.description.shapes import Appearance, Shape
+from gibson_sim.description.shapes import Appearance, Shape, ShapeKind
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import MeshError, SceneError, TextError
 from gibson_sim.formats.mesh import UpAxis
@@ -51,7 +51,7 @@ _LIGHT_KEYS = (
 )  # fmt: skip
 _VISUAL_KEYS = ("splats", "pose", "scale", "up_axis")
 _POINT_KEYS = ("position", "color", "strength", "range", "attenuation", "direction", "inner_deg", "outer_deg")
-_SHAPES = ("mesh", "box", "sphere", "cylinder")
+_SHAPES: tuple[ShapeKind, ...] = ("mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid", "cone")
 _OBJECT_KEYS = (
     "name", *_SHAPES, "pose", "scale", "up_axis", "unit_m", "semantic_class", "collision", "visible", "color", "metallic", "roughness",
 )  # fmt: skip
@@ -206,13 +206,13 @@ def _mesh(builder: SceneBuilder, path: Path, item: YamlMap, name: str, matrix: F
         raise SceneError(f"{item.where}: {e}") from e
 
 
-def _primitive(item: YamlMap, kind: str) -> Shape:
-    if kind == "box":
-        return Shape("box", item.vec3("box", low=1e-6))
+def _primitive(item: YamlMap, kind: ShapeKind) -> Shape:
+    if kind in ("box", "ellipsoid"):
+        return Shape(kind, item.vec3(kind, low=1e-6))
     if kind == "sphere":
         return Shape("sphere", (item.number("sphere", low=1e-6), 0.0, 0.0))
-    sizes = item.within(item.value("cylinder"), "cylinder", ("radius", "length"))
-    return Shape("cylinder", (sizes.number("radius", low=1e-6), sizes.number("length", low=1e-6), 0.0))
+    sizes = item.within(item.value(kind), kind, ("radius", "length"))
+    return Shape(kind, (sizes.number("radius", low=1e-6), sizes.number("length", low=1e-6), 0.0))
 
 
 def _appearance(item: YamlMap) -> Appearance | None:

@@ -362,8 +362,8 @@ def _object(visual: VisualSpec, collisions: list[CollisionSpec], loader: MeshLoa
 def _shape(shape: Shape) -> tuple[Path | dict[str, object], Vec3]:
     if shape.kind == "mesh":
         return Path(shape.mesh), shape.size
-    if shape.kind == "box":
-        return {"box": list(shape.size)}, (1.0, 1.0, 1.0)
+    if shape.kind in ("box", "ellipsoid"):
+        return {shape.kind: list(shape.size)}, (1.0, 1.0, 1.0)
     if shape.kind == "sphere":
         return {"sphere": shape.size[0]}, (1.0, 1.0, 1.0)
-    return {"cylinder": {"radius": shape.size[0], "length": shape.size[1]}}, (1.0, 1.0, 1.0)
+    return {shape.kind: {"radius": shape.size[0], "length": shape.size[1]}}, (1.0, 1.0, 1.0)

@@ -128,6 +128,9 @@ def lowest_points(shape: Shape, T_base_shape: Mat4, points: MeshPoints | None = 
     center, up = T_base_shape[:3, 3], np.array([0.0, 0.0, 1.0])
     if shape.kind == "sphere":
         return np.asarray((center - shape.size[0] * up)[None])
+    if shape.kind == "capsule":
+        ends = center + np.array([[-0.5], [0.5]]) * shape.size[1] * T_base_shape[:3, 2]
+        return _near_lowest(ends - shape.size[0] * up)
     if shape.kind == "cylinder":
         axis = T_base_shape[:3, 2]
         slope_direction = up - float(up @ axis) * axis

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gibson_sim.description.shapes import ROUND_KINDS
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import RobotError
 from gibson_sim.formats.yaml_map import YamlMap
@@ -201,12 +202,12 @@ _READERS: dict[str, Callable[[_DriveSection], DriveSpec]] = {
 
 
 def _wheel_radius(model: UrdfModel, link_name: str) -> float:
-    """Returns the radius of the largest sphere or cylinder of a link: of its collision shapes, else of its visuals."""
+    """Returns the radius of the largest sphere, cylinder or capsule of a link: of its collision shapes, else of its visuals."""
     link = model.link(link_name)
     for shapes in ([c.shape for c in link.collisions], [v.shape for v in link.visuals]):
-        radii = [shape.size[0] for shape in shapes if shape.kind in ("sphere", "cylinder")]
+        radii = [shape.size[0] for shape in shapes if shape.kind in ROUND_KINDS]
         if radii:
             return max(radii)
     raise RobotError(
-        f"{model.path}: link {quoted(link_name)} has no sphere or cylinder for the radius of the wheel; give drive.wheel_radius"
+        f"{model.path}: link {quoted(link_name)} has no sphere, cylinder or capsule for the radius of the wheel; give drive.wheel_radius"
     )

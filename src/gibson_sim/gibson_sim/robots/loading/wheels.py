@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.description.extents import MeshPoints, link_points, rigid_links
+from gibson_sim.description.shapes import ROUND_KINDS
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.robots.loading.drive import ALIGNED
@@ -33,8 +34,8 @@ class Wheel:
     radius: float
     """Radius, metres; 0 = none of its shapes can be measured."""
     rolls: bool
-    """Whether its collision shape is a sphere or a cylinder, or an unreadable mesh. Other meshes roll on the corners of their convex hull, which
-    the engine also enlarges by a millimetre."""
+    """Whether its collision shape is a sphere, cylinder or capsule, or an unreadable mesh. Other meshes roll on the corners of their convex
+    hull, which the engine also enlarges by a millimetre."""
     swivel: UrdfJoint | None
     """Nearest ancestor joint with a vertical axis; None = the wheel cannot be steered."""
 
@@ -170,8 +171,8 @@ def _wheel(
         if radius > 0.0:
             # Use the radius in the file if it agrees with the measured one: a cylinder rotated by 1.57 instead of pi/2 measures larger.
             shapes = [item.shape for link in links for item in getattr(link, kind)]
-            near = [s.size[0] for s in shapes if s.kind in ("sphere", "cylinder") and abs(s.size[0] - radius) < _ROUND * radius]
-            rolls = kind == "collisions" and all(shape.kind in ("sphere", "cylinder") for shape in shapes)
+            near = [s.size[0] for s in shapes if s.kind in ROUND_KINDS and abs(s.size[0] - radius) < _ROUND * radius]
+            rolls = kind == "collisions" and all(shape.kind in ROUND_KINDS for shape in shapes)
             return Wheel(joint, hub, max(near, default=radius), rolls, swivel)
     return None if measured else Wheel(joint, hub, 0.0, _collides(model, joint), swivel)
 

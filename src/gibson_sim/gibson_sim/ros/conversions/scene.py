@@ -47,6 +47,9 @@ _SHAPES: dict[ShapeKind, int] = {
     "box": RosVisual.SHAPE_BOX,
     "sphere": RosVisual.SHAPE_SPHERE,
     "cylinder": RosVisual.SHAPE_CYLINDER,
+    "capsule": RosVisual.SHAPE_CAPSULE,
+    "ellipsoid": RosVisual.SHAPE_ELLIPSOID,
+    "cone": RosVisual.SHAPE_CONE,
 }
 _FILL, _FILL_DEPTH = "fill:", "fill_depth"
 """Entries among the outputs of a camera in a message: prefix of the hole filling method, and flag that depth is filled, too."""

@@ -28,8 +28,15 @@ from gibson_sim.types import Rgba, Vec3
 
 Element = ElementTree.Element
 F64 = NDArray[np.float64]
-_PRIMITIVES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
-"""Tag of a primitive -> tags of its sizes."""
+_PRIMITIVES: dict[str, tuple[ShapeKind, tuple[str, ...], int]] = {
+    "box": ("box", ("size",), 3),
+    "sphere": ("sphere", ("radius",), 1),
+    "cylinder": ("cylinder", ("radius", "length"), 2),
+    "capsule": ("capsule", ("radius", "length"), 2),
+    "cone": ("cone", ("radius", "length"), 2),
+    "ellipsoid": ("ellipsoid", ("radii",), 3),
+}
+"""Tag of a primitive -> its kind, the tags of its sizes, and their count."""
 _PLANE_THICKNESS = 0.01
 """Thickness of the box that represents a plane, metres."""
 _SCRIPT_COLORS: dict[str, Rgba] = {
@@ -347,7 +354,7 @@ class SdfModels:
             elif size is not None:
                 yield size, matrix, False
             elif kind.tag in _PRIMITIVES:
-                sizes = " ".join((kind.findtext(tag) or "").strip() or "nothing" for tag in _PRIMITIVES[kind.tag])
+                sizes = " ".join((kind.findtext(tag) or "").strip() or "nothing" for tag in _PRIMITIVES[kind.tag][1])
                 text = f"{where}: <{kind.tag}> has size {sizes}, must be finite numbers above 0; left out"
                 self.builder.warn(text, OmissionKind.INVALID)
             elif kind.tag != "empty":
@@ -471,17 +478,16 @@ def _model_name(uri: str, model: Element) -> str:
 
 
 def _primitive(element: Element) -> Shape | None:
-    """Returns the shape of a <box>, <sphere> or <cylinder>; None for other elements, and for invalid sizes."""
-    tags = _PRIMITIVES.get(element.tag)
-    if tags is None:
+    """Returns the shape of a primitive; None for other elements, and for invalid sizes."""
+    if element.tag not in _PRIMITIVES:
         return None
-    values = numbers(" ".join(element.findtext(tag) or "" for tag in tags), (3,) if element.tag == "box" else (len(tags),))
+    kind, tags, count = _PRIMITIVES[element.tag]
+    values = numbers(" ".join(element.findtext(tag) or "" for tag in tags), (count,))
     if values is None or min(values) <= 0:
         return None
     padded = [*values, 0.0, 0.0][:3]
     size: Vec3 = (padded[0], padded[1], padded[2])
-    kinds: dict[str, ShapeKind] = {"box": "box", "sphere": "sphere", "cylinder": "cylinder"}
-    return Shape(kinds[element.tag], size)
+    return Shape(kind, size)
 
 
 def _plane_box(element: Element, matrix: F64) -> tuple[Shape, F64]:
