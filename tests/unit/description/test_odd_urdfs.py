@@ -40,15 +40,26 @@ def test_two_hundred_joints_that_move_are_refused_and_so_many_fixed_ones_are_not
     ("link", "words"),
     [
         (inertial(0.0, 1.0, 1.0, 1.0), "link 'a' has no mass; 1 kg is used"),
-        (inertial(2.0, 0.0, 0.0, 0.0), "link 'a' has an invalid inertia; that of a small sphere is used"),
-        (inertial(2.0, 1.0, 1.0, 9.0), "link 'a' has an invalid inertia; that of a small sphere is used"),
+        (inertial(2.0, 0.0, 0.0, 0.0), "link 'a' has an invalid inertia (principal moments 0, 0, 0 kg m^2: {}"),
+        (inertial(2.0, 1.0, 1.0, 9.0), "link 'a' has an invalid inertia (principal moments 1, 1, 9 kg m^2: {}"),
     ],
 )
 def test_a_mass_or_inertia_that_no_body_has_is_replaced_with_a_warning(link: str, words: str) -> None:
     (group,), warnings = rigid_groups(parse(link))
-    assert warnings == (f"r.urdf: {words}",)
+    rule = "each must be above 0 and below the sum of the others); that of a small sphere is used"
+    assert warnings == (f"r.urdf: {words.format(rule)}",)
     assert group.mass > 0.0
     assert np.linalg.eigvalsh(group.inertia).min() > 0.0
+
+
+def test_an_inertia_that_violates_the_triangle_inequality_is_kept_and_named_but_not_where_it_is_rounding() -> None:
+    (group,), warnings = rigid_groups(parse(inertial(2.0, 1.0, 1.0, 2.5)))
+    assert warnings == (
+        "r.urdf: links move with inertias that no body has, a principal moment is above the sum of the others; check their <inertia>: "
+        "'a' (1, 1, 2.5 kg m^2)",
+    )
+    assert np.diag(group.inertia).tolist() == [1.0, 1.0, 2.5]
+    assert rigid_groups(parse(inertial(2.0, 1.0, 1.0, 2.01)))[1] == ()
 
 
 def test_every_missing_mesh_has_its_line() -> None:

@@ -121,7 +121,10 @@ def test_missing_visual_mesh_is_left_out_with_a_warning(read: Read) -> None:
     [
         ("", "no <link>"),
         (TWO_LINKS, "2 root links (a, b)"),
-        ("".join(f'<link name="l{k}"/>' for k in range(900)), "900 root links (l0, l1, l2, l3, l4, l5, l6, l7, ...); connect"),
+        (
+            "".join(f'<link name="l{k}"/>' for k in range(900)),
+            "900 root links (l0, l1, l2, l3, l4, l5, l6, l7 and 892 more); connect",
+        ),
         (TWO_LINKS + joint() + joint("k", parent="b", child="a"), "cycle"),
         (
             '<link name="c"/>' + TWO_LINKS + joint() + joint("k", parent="b", child="a"),

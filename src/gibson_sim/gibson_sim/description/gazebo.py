@@ -10,6 +10,8 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
 from typing import Literal
 
+from gibson_sim.description.urdf_left_out import listed
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.types import Vec3
 
 SensorKind = Literal["camera", "depth_camera", "lidar", "imu"]
@@ -23,6 +25,7 @@ _SENSORS: dict[str, SensorKind] = {
 """Value of ``<sensor type="...">`` of Gazebo Classic or Gazebo -> kind."""
 _MOST_FRICTION = 1.5
 """Maximum friction; larger values are clamped: wheels often have 100 or more."""
+_FRICTIONS = ("mu1", "mu2")
 _DRIVE_PLUGINS: dict[str, DriveHint] = {"diff_drive": "differential", "skid_steer": "differential", "mecanum": "omni"}
 """Part of the name of a wheeled drive plugin, with ``_`` for ``-`` -> drive."""
 
@@ -100,6 +103,30 @@ def read_gazebo(top: ET.Element) -> GazeboTags:
     return GazeboTags(frictions, tuple(sensors), drive)
 
 
+def gazebo_left_out(top: ET.Element, source: str) -> list[str]:
+    """Returns one line, or none, about the content of ``<gazebo>`` elements that has no effect here.
+
+    Args:
+        top: The ``<robot>``.
+        source: Name of the file, for the line.
+    """
+    joints = {element.get("name", "") for element in top.findall("joint")}
+    found: dict[str, None] = {}
+    for element in top.findall("gazebo"):
+        for item in element:
+            if item.tag == "sensor":
+                if (kind := item.get("type", "")) not in _SENSORS:
+                    found[f"sensor {quoted(item.get('name', ''), 40)} of type {quoted(kind, 40)}"] = None
+                elif item.find(".//noise") is not None:
+                    found["noise of sensors"] = None
+            elif item.tag == "plugin":
+                if _drive(item, joints) is None:
+                    found[f"plugin {clipped(item.get('filename', '') or item.get('name', ''), 60)}"] = None
+            elif item.tag not in _FRICTIONS and all(item.find(f".//{key}") is None for key in _FRICTIONS):
+                found[f"<{clipped(item.tag, 40)}>"] = None
+    return [f"{source}: left out of <gazebo>, for Gazebo alone: {listed(found)}"] if found else []
+
+
 def _resolve_link(reference: str, links: list[str]) -> str:
     """Returns the link that a reference names, whose prefix may be omitted; empty = no link, or several."""
     matches = [name for name in links if name == reference] or [name for name in links if name.endswith(f"/{reference}")]
@@ -107,7 +134,7 @@ def _resolve_link(reference: str, links: list[str]) -> str:
 
 
 def _friction(element: ET.Element) -> float | None:
-    values = [_value(item.text) for key in ("mu1", "mu2") for item in element.iter(key)]
+    values = [_value(item.text) for key in _FRICTIONS for item in element.iter(key)]
     if not values or any(value is None or value < 0.0 for value in values):
         return None
     return min(*(value for value in values if value is not None), _MOST_FRICTION)

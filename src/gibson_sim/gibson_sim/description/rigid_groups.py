@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from gibson_sim.description.extents import shape_points
 from gibson_sim.description.shapes import Shape
 from gibson_sim.description.urdf import UrdfJoint, UrdfLink, UrdfModel
+from gibson_sim.description.urdf_left_out import listed
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.quoting import quoted
@@ -33,6 +35,8 @@ _DEFAULT_LINK_KG = 0.05
 """Default mass of other groups, kg."""
 _DEFAULT_GYRATION = 0.05
 """Radius of gyration of a group whose inertia is invalid, or that has neither mass nor shape, metres."""
+_INERTIA_ROUNDING = 0.01
+"""Violation of the triangle inequality that counts as rounding, as a fraction of the largest moment."""
 _LEAST_SIDE = 0.02
 """Minimum side of the box from which the inertia of a massless group is computed, metres; smaller values make an engine unstable."""
 
@@ -102,8 +106,14 @@ def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[R
         group.members[link.name] = T_group_link
         _add_link(group, link, T_group_link)
     _check_count(model, [group.joint for group in groups.values() if group.joint is not None])
-    warnings = [text for group in groups.values() for text in _check_mass(model, group) if group.joint or not fixed_root]
-    return tuple(groups.values()), tuple(warnings)
+    warnings: list[str] = []
+    kept: set[str] = set()
+    for group in groups.values():
+        replaced = _check_mass(model, group)
+        if group.joint or not fixed_root:
+            warnings += replaced
+            kept.update(() if replaced else group.members)
+    return tuple(groups.values()), (*warnings, *_impossible_inertias(model, kept))
 
 
 def _check_count(model: UrdfModel, joints: list[UrdfJoint]) -> None:
@@ -203,6 +213,27 @@ def _point_inertia(mass: float, offset: NDArray[np.float64]) -> NDArray[np.float
     return mass * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
 
 
+def _impossible_inertias(model: UrdfModel, names: Collection[str]) -> list[str]:
+    """Returns one warning, or none, about links whose inertia no body has: it violates the triangle inequality of principal moments.
+
+    Args:
+        model: The links.
+        names: Links to check.
+    """
+    links = [link for link in model.links if link.name in names and link.inertial is not None and link.inertial.mass > 0]
+    if not links:
+        return []
+    rows = np.array([link.inertial.inertia for link in links if link.inertial is not None])
+    moments = np.linalg.eigvalsh(rows[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))
+    # Inertias of 0 are missing ones, which ``_check_mass`` replaces if no other link of the group has one.
+    violated = (moments[:, 2] > 0) & (moments[:, 2] * (1 - _INERTIA_ROUNDING) > moments[:, 0] + moments[:, 1])
+    found = [f"{quoted(links[i].name)} ({', '.join(f'{m:.3g}' for m in moments[i])} kg m^2)" for i in np.flatnonzero(violated)]
+    if not found:
+        return []
+    why = "links move with inertias that no body has, a principal moment is above the sum of the others; check their <inertia>"
+    return [f"{model.path.name}: {why}: {listed(found)}"]
+
+
 def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
     """Replaces a mass or an inertia that an engine cannot use; returns warnings about the changes."""
     warnings = []
@@ -212,12 +243,13 @@ def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
         group.center, group.inertia = _assumed_inertia(model, group)
         warnings.append(f"{model.path.name}: link {quoted(group.name)} has no mass; {group.mass:g} kg is used")
     low, mid, high = np.linalg.eigvalsh(group.inertia)
-    # The inertia of a real body obeys the triangle inequality; files often violate it slightly, which engines tolerate.
+    # Engines tolerate inertias that violate the triangle inequality slightly, as files often do.
     if low <= 0 or high > 1.5 * (low + mid):
         group.inertia = np.eye(3) * group.mass * _DEFAULT_GYRATION**2
         if not warnings:
             warnings.append(
-                f"{model.path.name}: link {quoted(group.name)} has an invalid inertia; that of a small sphere is used"
+                f"{model.path.name}: link {quoted(group.name)} has an invalid inertia (principal moments {low:.3g}, {mid:.3g}, {high:.3g} "
+                "kg m^2: each must be above 0 and below the sum of the others); that of a small sphere is used"
             )
     return warnings
 

@@ -12,25 +12,24 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from gibson_sim.description.gazebo import read_gazebo
+from gibson_sim.description.gazebo import gazebo_left_out, read_gazebo
 from gibson_sim.description.mesh_files import resolve_mesh
 from gibson_sim.description.mimic import Mimic, leaders
 from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf_left_out import left_out, listed
 from gibson_sim.description.urdf_model import JOINT_TYPES, Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
 from gibson_sim.description.xacro import is_xacro, with_defaults
 from gibson_sim.errors import RobotError, TextError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.quoting import clipped, quoted
+from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_xml, read_file
-from gibson_sim.types import Pose, Rgba, Vec3
+from gibson_sim.types import Pose, Quat, Rgba, Vec3
 
 __all__ = [
     "JOINT_TYPES", "FindMesh", "Inertial", "UrdfCollision", "UrdfJoint", "UrdfLink", "UrdfModel", "UrdfVisual", "parse_urdf", "read_urdf",
 ]  # fmt: skip
 
-_MOST_NAMED, _LONGEST_NAME = 8, 40
-"""Maximum number of links that a message names, and maximum length of each name, characters."""
 FindMesh = Callable[[str, Path], Path | None]
 """Function that returns the absolute path of a mesh, given its name and the path of the URDF, or None if it does not exist."""
 
@@ -84,6 +83,8 @@ class _Reader:
         self.warnings: list[str] = []
         self.colors: dict[str, Rgba | None] = {}
         """Material name -> colour; None = the material has only a texture."""
+        self.remarks: dict[str, list[str]] = {}
+        """What is odd -> names of the elements: one warning each."""
         self.frictions: dict[str, float] = {}
         """Link -> Coulomb friction from ``<gazebo>`` elements."""
 
@@ -92,17 +93,35 @@ class _Reader:
         if top.tag != "robot":
             hint = "; MJCF (MuJoCo) is not read, convert it to URDF or SDF" if top.tag == "mujoco" else ""
             raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, must be <robot>{hint}")
-        for material in top.iter("material"):
-            color = material.find("color")
-            if color is not None or material.find("texture") is not None:
-                self.colors.setdefault(material.get("name", ""), None if color is None else self.rgba(color))
+        self.collect_materials(top)
         gazebo = read_gazebo(top)
         self.frictions = gazebo.frictions
         links = [self.link(element) for element in top.findall("link")]
         joints = [self.joint(element) for element in top.findall("joint")]
         ordered = self.sorted_links(links, joints)
         joints = self.with_final_leaders(joints)
-        return UrdfModel(top.get("name", self.path.stem), self.path, ordered, tuple(joints), tuple(self.warnings), gazebo)
+        if not top.get("name"):
+            self.remark(f"the <robot> has no name, which ROS refuses: it is called {quoted(self.path.stem)}")
+        lines = [f"{what}: {listed(dict.fromkeys(names))}" if names else what for what, names in self.remarks.items()]
+        self.warnings += [f"{self.path.name}: {line}" for line in lines]
+        self.warnings += [*left_out(top, self.path.name), *gazebo_left_out(top, self.path.name)]
+        return UrdfModel(top.get("name") or self.path.stem, self.path, ordered, tuple(joints), tuple(self.warnings), gazebo)
+
+    def remark(self, what: str, name: str = "") -> None:
+        """Notes something odd, for one warning that lists all names."""
+        names = self.remarks.setdefault(what, [])
+        if name:
+            names.append(name)
+
+    def collect_materials(self, top: ET.Element) -> None:
+        """Reads the named materials: those of the robot, then those within visuals, the first of each name, as ROS does."""
+        for material in (*top.findall("material"), *top.findall("link/visual/material")):
+            name, color = material.get("name", ""), material.find("color")
+            if color is None and material.find("texture") is None:
+                continue
+            value = None if color is None else self.rgba(color)
+            if name and self.colors.setdefault(name, value) != value:
+                self.remark("materials are defined again with another colour; the first counts, as in ROS", quoted(name))
 
     def sorted_links(self, links: list[UrdfLink], joints: list[UrdfJoint]) -> tuple[UrdfLink, ...]:
         """Returns the links, parents first; raises RobotError if they do not form one tree."""
@@ -128,10 +147,7 @@ class _Reader:
         if not roots:
             raise RobotError(f"{self.path}: has no root link: the joints form a cycle; one link must have no parent")
         if len(roots) > 1:
-            listed = ", ".join(clipped(name, _LONGEST_NAME) for name in roots[:_MOST_NAMED]) + (
-                ", ..." if len(roots) > _MOST_NAMED else ""
-            )
-            raise RobotError(f"{self.path}: has {len(roots)} root links ({listed}); connect them so that only one remains")
+            raise RobotError(f"{self.path}: has {len(roots)} root links ({listed(roots)}); connect them so that only one remains")
         order: list[str] = []
         stack = [roots[0]]
         while stack:
@@ -139,9 +155,10 @@ class _Reader:
             order.append(name)
             stack.extend(reversed(children[name]))
         if len(order) != len(by_name):
-            unreachable = [name for name in by_name if name not in set(order)]
+            reached = set(order)
+            unreachable = [name for name in by_name if name not in reached]
             raise RobotError(
-                f"{self.path}: links {', '.join(unreachable)} form a cycle that the root {quoted(roots[0])} does not reach"
+                f"{self.path}: links {listed(unreachable)} form a cycle that the root {quoted(roots[0])} does not reach"
             )
         return tuple(by_name[name] for name in order)
 
@@ -204,12 +221,12 @@ class _Reader:
             if end is None or not end.get("link"):
                 raise RobotError(f'{self.path}: {where} has no <{tag} link="..."/>')
             ends.append(end.get("link", ""))
-        axis_element = element.find("axis")
+        axis_element = None if kind in ("fixed", "floating") else element.find("axis")
         axis = (1.0, 0.0, 0.0) if axis_element is None else self.vector(axis_element, "xyz", where)
         length = math.sqrt(sum(c * c for c in axis))
-        if kind != "fixed" and length < 1e-9:
+        if length < 1e-9:
             raise RobotError(f"{self.path}: {where} has axis (0, 0, 0), which is not a direction")
-        unit = (axis[0] / length, axis[1] / length, axis[2] / length) if length > 1e-9 else (1.0, 0.0, 0.0)
+        unit = (axis[0] / length, axis[1] / length, axis[2] / length)
         limit, dynamics = element.find("limit"), element.find("dynamics")
         damping, friction = (0.0 if dynamics is None else self.optional(dynamics, key, where) for key in ("damping", "friction"))
         lower, upper, effort, velocity = 0.0, -1.0, 0.0, 0.0
@@ -220,6 +237,19 @@ class _Reader:
                 raise RobotError(f"{self.path}: {where}: effort is {effort:g} and velocity {velocity:g}, neither may be negative")
             if kind in ("revolute", "prismatic"):
                 lower, upper = self.optional(limit, "lower", where), self.optional(limit, "upper", where)
+                if lower > upper:
+                    self.remark(
+                        "joints whose lower limit is above the upper one move without limits, from 0; are they swapped?",
+                        f"{quoted(name)} ({lower:g} to {upper:g})",
+                    )
+            elif {"lower", "upper"} & limit.attrib.keys() and kind == "continuous":
+                self.remark("continuous joints have no position limits; lower and upper are left out", quoted(name))
+            if kind != "fixed" and 0.0 in (effort, velocity):
+                self.remark("joints whose effort or velocity is missing or 0 in <limit> get the default of motors", quoted(name))
+        elif kind in ("revolute", "prismatic"):
+            self.remark(
+                "revolute and prismatic joints without <limit>, which ROS refuses, move without limits, from 0", quoted(name)
+            )
         return UrdfJoint(
             name, kind, ends[0], ends[1], self.origin(element, where), unit, lower, upper, effort, velocity,
             damping, self.mimic(element.find("mimic"), kind, where), friction,
@@ -268,7 +298,7 @@ class _Reader:
             radius, length = self.positive(sizes, where)
             return Shape("cylinder", (radius, length, 0.0))
         if item.tag == "mesh":
-            scale = self.vector(item, "scale", where) if item.get("scale") else (1.0, 1.0, 1.0)
+            scale = self.vector(item, "scale", where) if "scale" in item.attrib else (1.0, 1.0, 1.0)
             if 0.0 in scale:
                 raise RobotError(f"{self.path}: {where}: scale {scale} makes the mesh flat; no factor may be 0")
             name = self.text(item, "filename")
@@ -285,16 +315,18 @@ class _Reader:
     def color(self, material: ET.Element | None, where: str) -> Rgba | None:
         if material is None:
             return None
-        color = material.find("color")
-        if color is not None:
+        color, name = material.find("color"), material.get("name", "")
+        if color is not None and not name:
             return self.rgba(color)
-        name = material.get("name", "")
         if name not in self.colors and material.find("texture") is None:
             self.warnings.append(f"{self.path.name}: {where}: material {quoted(name)} is not defined; drawn without a colour")
         return self.colors.get(name)
 
     def rgba(self, element: ET.Element) -> Rgba:
-        r, g, b, a = (min(max(c, 0.0), 1.0) for c in self.numbers(element, "rgba", 4, "material"))
+        values = self.numbers(element, "rgba", 4, "material")
+        r, g, b, a = (min(max(c, 0.0), 1.0) for c in values)
+        if (r, g, b, a) != values:
+            self.remark("colours outside of 0 to 1 are clipped", quoted(element.get("rgba", "")))
         return (r, g, b, a)
 
     # Values
@@ -305,9 +337,21 @@ class _Reader:
         if item is None:
             return Pose()
         zero = (0.0, 0.0, 0.0)
-        xyz = self.vector(item, "xyz", where) if item.get("xyz") else zero
-        rpy = self.vector(item, "rpy", where) if item.get("rpy") else zero
-        return pose_from_xyz_rpy(xyz, rpy)
+        xyz = self.vector(item, "xyz", where) if "xyz" in item.attrib else zero
+        if "quat_xyzw" in item.attrib:
+            return Pose(xyz, self.quaternion(item, where))
+        return pose_from_xyz_rpy(xyz, self.vector(item, "rpy", where) if "rpy" in item.attrib else zero)
+
+    def quaternion(self, element: ET.Element, where: str) -> Quat:
+        """Returns the unit quaternion in ``quat_xyzw``."""
+        if "rpy" in element.attrib:
+            raise RobotError(f"{self.path}: {where}: <{element.tag}> has both rpy and quat_xyzw; give one of them")
+        values = self.numbers(element, "quat_xyzw", 4, where)
+        length = math.sqrt(sum(c * c for c in values))
+        if length < 1e-9:
+            raise RobotError(f"{self.path}: {where}: quat_xyzw is {values}, which is not a rotation")
+        x, y, z, w = (c / length for c in values)
+        return (x, y, z, w)
 
     def positive(self, values: tuple[float, ...], where: str) -> tuple[float, ...]:
         """Returns the values; raises RobotError unless all are above 0."""
@@ -329,13 +373,13 @@ class _Reader:
 
     def optional(self, element: ET.Element, key: str, where: str, default: float = 0.0) -> float:
         """Returns a finite number in an attribute, or the default if it is missing."""
-        return self.numbers(element, key, 1, where)[0] if element.get(key) else default
+        return self.numbers(element, key, 1, where)[0] if key in element.attrib else default
 
     def numbers(self, element: ET.Element, key: str, count: int, where: str) -> tuple[float, ...]:
         """Returns ``count`` finite numbers in an attribute; raises RobotError for other values."""
         raw = element.get(key, "")
         try:
-            values = tuple(float(part) for part in raw.split())
+            values = () if "_" in raw else tuple(float(part) for part in raw.split())  # Python reads 1_0 as 10
         except ValueError:
             values = ()
         if len(values) != count or not all(map(math.isfinite, values)):
