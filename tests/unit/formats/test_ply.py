@@ -90,6 +90,16 @@ def test_the_colours_of_a_gltf_are_linear(tmp_path: Path) -> None:
     np.testing.assert_allclose(part.colors, [[255, 0, 0], [0, 127, 0], [0, 0, 0]], atol=1)
 
 
+@pytest.mark.parametrize(("alpha", "columns"), [(1.0, 3), (0.5, 4)])
+def test_colours_have_alpha_only_if_it_is_below_one_somewhere(tmp_path: Path, alpha: float, columns: int) -> None:
+    gltf = Gltf().triangle()
+    attributes = gltf.document["meshes"][0]["primitives"][0]["attributes"]
+    attributes["COLOR_0"] = gltf.accessor([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, alpha], [0.0, 0.0, 0.0, 1.0]])
+    (part,) = _read(tmp_path, gltf.glb(), "mesh.glb").parts
+    assert part.colors is not None
+    assert part.colors.shape == (3, columns)
+
+
 def test_colours_survive_a_transform(tmp_path: Path) -> None:
     mesh = _read(tmp_path, ply()).transformed(np.diag([2.0, 2.0, 2.0, 1.0]))
     np.testing.assert_array_equal(mesh.parts[0].colors, COLORS)

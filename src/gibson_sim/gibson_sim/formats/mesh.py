@@ -118,7 +118,8 @@ class MeshPart:
     """Vertex indices of the triangles, (F, 3)."""
     material: Material = field(default_factory=Material)
     colors: NDArray[np.uint8] | None = None
-    """Vertex colours, (V, 3) uint8 sRGB, or (V, 4) with alpha, which is linear, if the material is ``colored``; else None."""
+    """Vertex colours, (V, 3) uint8 sRGB, or (V, 4) with alpha, which is linear, if the material is ``colored``; else None. They have alpha only
+    if any of it is below 255."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +234,7 @@ def build_part(
         uvs: (V, 2), v downwards, or None.
         material: the material.
         matrix: (4, 4) affine transform of the vertices and normals; None = the identity.
-        colors: vertex colours, (V, 3) uint8 sRGB, or (V, 4) with alpha, or None. They stand in for a missing texture; if the material
+        colors: vertex colours, (V, 3) uint8 sRGB, or (V, 4) with linear alpha, or None. They stand in for a missing texture; if the material
             is already ``colored``, they multiply its texture.
 
     Raises:
@@ -272,6 +273,8 @@ def build_part(
     with np.errstate(over="ignore"):
         uv32 = None if uv is None else np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
     colors = colors if material.texture is None or material.colored else None
+    if colors is not None and (colors[:, 3:] == 255).all():
+        colors = np.ascontiguousarray(colors[:, :3])
     material = material if material.colored == (colors is not None) else replace(material, colored=colors is not None)
     return MeshPart(v32, n.astype(np.float32), uv32, np.ascontiguousarray(t, dtype=np.uint32), material, colors)
 
