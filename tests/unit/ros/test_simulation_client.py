@@ -54,7 +54,7 @@ class Answering:
 )
 def test_a_code_means_what_it_means_for_its_own_service(request_: Any, code: int, ok: bool) -> None:
     told: list[bool] = []
-    SimulationClient(Answering(code)).ask(request_, 0.0, lambda good, text: told.append(good))  # type: ignore[arg-type]
+    SimulationClient(Answering(code)).ask(request_, lambda good, text: told.append(good))  # type: ignore[arg-type]
     assert told == [ok]
 
 

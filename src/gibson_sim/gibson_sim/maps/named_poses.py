@@ -15,6 +15,7 @@ from scipy import ndimage
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
+from gibson_sim.maps.floors import floor_at
 from gibson_sim.maps.rooms import NARROWEST_DOOR, Door, door_at, find_rooms, passages
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spec import SceneSpec, StartPose
@@ -65,7 +66,7 @@ def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
     out: list[NamedPose] = []
     for number, floor_z in enumerate(scene.floors):
         level, tag = replace(scene, floor_z=floor_z), f"floor_{number}"
-        starts = [s for s in scene.starts if _floor_of(scene, s.pose.position[2]) == number]
+        starts = [s for s in scene.starts if floor_at(scene.floors, s.pose.position[2]) == number]
         try:
             floor = scene_floor_map(level, robot_height=height)
             large = floor.resolution >= _ROOM_RESOLUTION  # then both maps are the same
@@ -79,11 +80,6 @@ def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
         out += _free(level, tag, floor, radius, height)
         out += _rooms_and_doors(level, number, floor, coarse, radius, height)
     return _unique(out)
-
-
-def _floor_of(scene: SceneSpec, z: float) -> int:
-    """Returns the index of the highest floor at most half a metre above ``z`` (world metres), else of the lowest floor."""
-    return max((i for i, floor_z in enumerate(scene.floors) if floor_z <= z + 0.5), default=0)
 
 
 def _starts(starts: Sequence[StartPose], tag: str, floor: FloorMap, height: float) -> list[NamedPose]:

@@ -70,6 +70,8 @@ class Goal:
     yaw: float
     robot: str = ""
     """Namespace of the robot, as for ``Drive``."""
+    z: float = 0.0
+    """Height of the floor that the page shows, metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +97,8 @@ class Spawn:
     x: float
     y: float
     yaw: float
+    z: float = 0.0
+    """Height of the floor that the page shows, metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +109,8 @@ class Move:
     x: float
     y: float
     yaw: float
+    z: float = 0.0
+    """Height of the floor that the page shows, metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +249,10 @@ class _Fields:
         x, y = (self.number(key, MAX_COORDINATE) for key in ("x", "y"))
         return x, y, self.number("yaw", 100.0)
 
+    def height(self) -> float:
+        """Returns z (m); 0 if the key is missing."""
+        return self.number("z", MAX_COORDINATE)
+
 
 def _is_pair(item: Any) -> bool:
     return isinstance(item, list) and len(item) == 2 and all(isinstance(t, str) and 0 < len(t) <= MAX_TEXT for t in item)
@@ -250,7 +260,7 @@ def _is_pair(item: Any) -> bool:
 
 def _goal(kind: Literal["goal", "initial_pose"], fields: _Fields) -> Goal:
     x, y, yaw = fields.pose()
-    return Goal(kind, x, y, yaw, fields.robot())
+    return Goal(kind, x, y, yaw, fields.robot(), fields.height())
 
 
 def _task(fields: _Fields) -> RunTask:
@@ -281,8 +291,8 @@ _READERS: dict[str, Any] = {
     "initial_pose": lambda f: _goal("initial_pose", f),
     "time": _time,
     "rate": lambda f: Rate(f.number("value", MAX_RATE, 0.0)),
-    "spawn": lambda f: Spawn(f.text("uri"), *f.pose()),
-    "move": lambda f: Move(f.text("name"), *f.pose()),
+    "spawn": lambda f: Spawn(f.text("uri"), *f.pose(), f.height()),
+    "move": lambda f: Move(f.text("name"), *f.pose(), f.height()),
     "delete": lambda f: Delete(f.text("name")),
     "plot": lambda f: Plot(f.curves()),
     "fields": lambda f: Fields(f.text("topic")),

@@ -12,10 +12,8 @@ from queue import SimpleQueue
 from typing import Any
 
 import cv2
-import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -34,6 +32,7 @@ from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.topics import names
 from gibson_sim.ros.web.child_nodes import Recorder
 from gibson_sim.ros.web.doors import Doors
+from gibson_sim.ros.web.floor_maps import FloorMaps
 from gibson_sim.ros.web.plot_subscriptions import PlotSubscriptions, plottable
 from gibson_sim.ros.web.real_time_factor import RealTimeFactor
 from gibson_sim.ros.web.robots import Robot, robots_in
@@ -69,7 +68,7 @@ class WebNode(Node):
 
     Subscribes:
         image topics (sensor_msgs/Image, CompressedImage), while a page shows them; any topic, while a page plots it.
-        map, /tf, /tf_static, /clock, /diagnostics, object_joint_states; for each robot odom, ground_truth/odom, scan, plan, amcl_pose;
+        map, floor_N/map, /tf, /tf_static, /clock, /diagnostics, object_joint_states; for each robot odom, ground_truth/odom, scan, plan, amcl_pose;
         scene and scene_state while a page shows the scene in 3-D; the topics of ``TaskView``.
 
     On request of a page, it starts a record node and a task node, which end with it.
@@ -93,8 +92,8 @@ class WebNode(Node):
         self._tree = TransformTree()
         self._robots: dict[str, Robot] = {}
         """Namespace -> robot, sorted: a robot without a namespace is the first."""
-        self._places: dict[str, tuple[float, float]] = {}
-        """Entity -> x, y on the map, m."""
+        self._places: dict[str, tuple[float, float, int]] = {}
+        """Entity -> x, y on the map, m, and the index of its floor."""
         self._image_topics: dict[str, str] = {}
         """Image topic -> type."""
         self._watched: frozenset[str] = frozenset()
@@ -104,12 +103,9 @@ class WebNode(Node):
         self._diagnostics: dict[str, tuple[dict[str, Any], float]] = {}
         self._sent: dict[str, Any] = {}
         """Kind of rarely changing values -> values that pages received last."""
-        self._floor_z = 0.0
-        self._map_version = 0
         self._simulation = SimulationClient(self)
         self._recorder = Recorder()
         self.subscribe(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
-        self.subscribe(OccupancyGrid, names.MAP, self._on_map, _LATCHED)
         self.subscribe(TFMessage, names.TF, self._on_tf, _MANY)
         self.subscribe(TFMessage, names.TF_STATIC, self._on_tf, _LATCHED_MANY)
         self.subscribe(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _MANY)
@@ -118,6 +114,7 @@ class WebNode(Node):
         self._videos = VideoSubscriptions(self, self._server.send_image, partial(self._send_if_changed, "problems"))
         self._plots = PlotSubscriptions(self)
         self._doors = Doors(self)
+        self._floors = FloorMaps(self, self._server)
         self._task = TaskView(self, self._simulation)
         self._scene = SceneStream(self, self._server)
         note_in_job(PAGE, self._server.url)
@@ -206,9 +203,9 @@ class WebNode(Node):
             self._record(request, answer)
         elif isinstance(request, RunTask):
             self._task.ask(request, answer)
-            self._send_if_changed("task", self._task.page_values())
+            self._send_if_changed("task", self._task_values())
         else:
-            self._simulation.ask(request, self._floor_z, partial(self._answered, answer))
+            self._simulation.ask(request, partial(self._answered, answer))
 
     def _robot(self, name: str) -> Robot | None:
         """Returns the robot with a namespace, or the first robot if ``name`` is empty."""
@@ -243,23 +240,6 @@ class WebNode(Node):
     def _on_clock(self, data: bytes) -> None:
         self._clock_ns = stamp_ns(data)
 
-    def _on_map(self, msg: OccupancyGrid) -> None:
-        info = msg.info
-        if not 0 < info.width * info.height <= 100_000_000 or len(msg.data) != info.width * info.height:
-            return
-        cells = np.asarray(msg.data, dtype=np.int8).reshape(info.height, info.width)
-        pixels = np.full((*cells.shape, 4), (0, 0, 0, 0), dtype=np.uint8)
-        pixels[cells >= 0] = (255, 255, 255, 255)
-        pixels[cells >= 50] = (60, 50, 45, 255)
-        self._map_version += 1
-        self._server.serve_blob("map", bytes(cv2.imencode(".png", pixels[::-1])[1]))
-        origin = info.origin.position
-        self._floor_z = float(origin.z)
-        values = {"data": "map", "version": self._map_version, "width": info.width, "height": info.height}
-        if not all(map(math.isfinite, (info.resolution, origin.x, origin.y, origin.z))):
-            raise ValueError("its resolution or its origin is not finite")
-        self._server.broadcast("map", values | {"resolution": info.resolution, "x": origin.x, "y": origin.y}, keep=True)
-
     def _on_tf(self, msg: TFMessage) -> None:
         for t in msg.transforms:
             p, q = t.transform.translation, t.transform.rotation
@@ -280,33 +260,45 @@ class WebNode(Node):
     def _send_moving(self) -> None:
         """Sends poses, scans, paths, estimates, doors and curves to pages."""
         robots: list[dict[str, Any]] = []
-        points: list[tuple[float, float]] = []
+        scans: list[dict[str, Any]] = []
         for name, robot in list(self._robots.items()):
             if not robot.is_present:
                 self._robots.pop(name).close()  # immediately: another world may have been loaded
                 continue
-            self.guarded(f"robot {name or 'robot'}", partial(self._add_robot, robot, robots, points))
+            self.guarded(f"robot {name or 'robot'}", partial(self._add_robot, robot, robots, scans))
         self._server.broadcast("robots", robots, keep=True)
-        self._server.broadcast("scan", points, keep=True)
-        self._send_if_changed("paths", [robot.path for robot in self._robots.values() if robot.path])
-        self._send_if_changed("estimates", [robot.estimate for robot in self._robots.values() if robot.estimate is not None])
+        self._server.broadcast("scan", scans, keep=True)
+        floors = {values["namespace"]: values["floor"] for values in robots}
+        known = [(floors.get(name, 0), robot) for name, robot in self._robots.items()]  # planners and localisers know no height
+        self._send_if_changed("paths", [{"floor": floor, "points": robot.path} for floor, robot in known if robot.path])
+        self._send_if_changed(
+            "estimates", [{"floor": floor, **robot.estimate} for floor, robot in known if robot.estimate is not None]
+        )
         self._send_if_changed("doors", self._doors.page_values(self._places))
         self._plots.end_listings()
         if self._plots.curves.names:
             now = time.monotonic()
             self._server.send_samples(now, self._plots.curves.pop_new(now))
 
-    def _add_robot(self, robot: Robot, robots: list[dict[str, Any]], points: list[tuple[float, float]]) -> None:
+    def _add_robot(self, robot: Robot, robots: list[dict[str, Any]], scans: list[dict[str, Any]]) -> None:
         """Appends the values of a robot for pages, and the points of its scan."""
         values = robot.page_values(self._tree)
         if values is not None:
-            robots.append(values[0])
-            points += values[1]
+            floor = self._floors.floor_at(values[0]["z"])
+            robots.append({**values[0], "floor": floor})
+            scans.append({"floor": floor, "points": values[1]})
+
+    def _task_values(self) -> dict[str, Any]:
+        """Returns the values of the task for pages, with the floor of its goal."""
+        values = self._task.page_values()
+        goal = values["goal"]
+        return values if goal is None else {**values, "goal": {**goal, "floor": self._floors.floor_at(goal["z"])}}
 
     def _poll(self) -> None:
         """Queries the graph, and requests the state of the simulation."""
         graph = self.get_topic_names_and_types()
         self._update_robots(graph)
+        self._floors.update(graph)
         if not self.count_publishers(names.CLOCK):
             self._clock_ns = None  # the simulation has ended, or there is none
             self._factor.clear()
@@ -319,7 +311,7 @@ class WebNode(Node):
         self._plots.update_subscriptions()
         self._send_if_changed("plottable", list(self._plots.types))
         self._send_if_changed("recording", self._recorder.page_values())
-        self._send_if_changed("task", self._task.page_values())
+        self._send_if_changed("task", self._task_values())
         if self._simulation.is_available():
             self._simulation.get_rate(lambda rate: self._send_if_changed("rate", rate))
             for service, request, on_response in (
@@ -371,15 +363,18 @@ class WebNode(Node):
         self._places = {}
         for name, state in zip(response.entities, response.states, strict=False):
             p = state.pose.position
-            if math.isfinite(p.x + p.y):
-                self._places[name] = (p.x, p.y)
-                entities.append(
-                    {"name": name, "x": p.x, "y": p.y, "robot": name in self._robots or name.rpartition("/")[2] == "robot"}
-                )
+            if math.isfinite(p.x + p.y + p.z):
+                floor = self._floors.floor_at(p.z)
+                self._places[name] = (p.x, p.y, floor)
+                is_robot = name in self._robots or name.rpartition("/")[2] == "robot"
+                entities.append({"name": name, "x": p.x, "y": p.y, "floor": floor, "robot": is_robot})
         self._send_if_changed("entities", entities)
 
     def _on_places(self, response: Any) -> None:
-        places = [{"name": p.name, "x": p.pose.position.x, "y": p.pose.position.y} for p in response.poses]
+        places = [
+            {"name": place.name, "x": p.x, "y": p.y, "floor": self._floors.floor_at(p.z)}
+            for place, p in ((place, place.pose.position) for place in response.poses)
+        ]
         self._send_if_changed("places", places)
 
     def _on_catalogue(self, response: Any) -> None:

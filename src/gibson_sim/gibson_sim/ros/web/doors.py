@@ -85,11 +85,11 @@ class Doors:
             return
         node.subscribe(kind, names.OBJECT_JOINT_STATES, self._on_states, qos.LATCHED)
 
-    def page_values(self, places: Mapping[str, tuple[float, float]]) -> list[dict[str, Any]]:
-        """Returns the values for the page: name, opening (0 to 1) and position on the map (m) of each joint.
+    def page_values(self, places: Mapping[str, tuple[float, float, int]]) -> list[dict[str, Any]]:
+        """Returns the values for the page: name, opening (0 to 1), position on the map (m) and floor of each joint.
 
         Args:
-            places: name of each entity -> x, y, map frame, m.
+            places: name of each entity -> x, y, map frame, m, and the index of its floor.
         """
         if not self._node.count_publishers(names.OBJECT_JOINT_STATES):
             return []
@@ -97,9 +97,9 @@ class Doors:
         for name, joint in self._joints.items():
             body = name.rpartition("/")[0]
             if body in places:
-                x, y = places[body]
+                x, y, floor = places[body]
                 moving = self._motions[name].opening if name in self._motions else None
-                rows.append({"joint": name, "opening": round(joint.opening, 2), "moving": moving, "x": x, "y": y})
+                rows.append({"joint": name, "opening": round(joint.opening, 2), "moving": moving, "x": x, "y": y, "floor": floor})
         return rows
 
     def open(self, request: Open, answer: Answer) -> None:

@@ -122,7 +122,7 @@ class Robot:
 
     def send(self, goal: Goal) -> tuple[bool, str]:
         """Publishes a goal or an initial pose; returns whether the topic has subscribers, and a text for the page."""
-        pose = flat_pose(goal.x, goal.y, 0.0, goal.yaw)
+        pose = flat_pose(goal.x, goal.y, goal.z, goal.yaw)
         if goal.kind == "goal":
             topic, msg = "goal_pose", PoseStamped(pose=pose)
             publisher = self._publisher(PoseStamped, topic, 1)
@@ -167,6 +167,7 @@ class Robot:
         values = {
             "x": float(T_map_base[0, 3]),
             "y": float(T_map_base[1, 3]),
+            "z": float(T_map_base[2, 3]),
             "yaw": math.atan2(T_map_base[1, 0], T_map_base[0, 0]),
             "radius": _RADIUS_M,
             "speed": self._speed,

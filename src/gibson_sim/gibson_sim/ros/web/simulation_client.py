@@ -47,12 +47,11 @@ class SimulationClient:
         """Returns whether a simulation offers its services in this domain."""
         return bool(self._clients["get_simulation_state"].service_is_ready())
 
-    def ask(self, request: Request, floor_z: float, answer: Answer) -> None:
+    def ask(self, request: Request, answer: Answer) -> None:
         """Executes a request of a page; ``answer`` is called once it is done.
 
         Args:
             request: request of a page.
-            floor_z: height of the floor that the page shows, m.
             answer: called with (whether the request succeeded, text for the page).
         """
         if isinstance(request, Time):
@@ -66,10 +65,10 @@ class SimulationClient:
                 partial(answer, False),
             )
         elif isinstance(request, Spawn):
-            message = spawn_request(request.uri, (request.x, request.y, request.yaw), floor_z)
+            message = spawn_request(request.uri, (request.x, request.y, request.yaw), request.z)
             self._do("spawn_entity", message, answer, "spawned {response.entity_name}")
         elif isinstance(request, Move):
-            message = move_request(request.name, (request.x, request.y, request.yaw), floor_z)
+            message = move_request(request.name, (request.x, request.y, request.yaw), request.z)
             self._do("set_entity_state", message, answer, "moved " + _literal(request.name))
         elif isinstance(request, Delete):
             self._do("delete_entity", DeleteEntity.Request(entity=request.name), answer, "deleted " + _literal(request.name))

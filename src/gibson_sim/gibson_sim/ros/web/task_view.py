@@ -87,7 +87,7 @@ class TaskView:
 
     def _on_goal(self, msg: PoseStamped) -> None:
         p = msg.pose.position
-        self._goal = {"x": p.x, "y": p.y} if math.isfinite(p.x + p.y) else None
+        self._goal = {"x": p.x, "y": p.y, "z": p.z} if math.isfinite(p.x + p.y + p.z) else None
 
     def _on_info(self, msg: String) -> None:
         self._info, self._result = _values(msg.data), {}

@@ -21,7 +21,7 @@ const toRobot = (values) => ({ ...values, robot: robot()?.namespace || '' });
 const videos = new Videos(watch);
 const plots = new Plots(send);
 const floor = new FloorMap($('map'), { place: placed, select: (name) => panels.select(name) });
-const panels = new Panels(send, (name) => { floor.selected = name; floor.draw(); });
+const panels = new Panels(send, selected);
 const scene = new Scene3D($('scene3d'), explainScene);
 const driving = new Driving((type, values) => send(type, toRobot(values)), $('stick'), (moving) => {
   $('driver').textContent = moving ? 'driving' : 'not driving';
@@ -64,7 +64,7 @@ const on = {
     panels.setDiagnostics(value.diagnostics);
   },
   rate(value) { showRate(value); },
-  map(value) { floor.setMap(value); },
+  floors(value) { floor.setFloors(value).then(showFloors); },
   robots(value) {
     robots = value;
     const r = robot();
@@ -74,6 +74,7 @@ const on = {
     if (r) $('robot').value = r.namespace;
     floor.robots = value; floor.chosen = r?.namespace; floor.draw();
     panels.setRobot(r);
+    followRobot();
     if (!$('scene3d').hidden) scene.setRobot(r);
   },
   scene(value) { scene.load(value.version); },
@@ -103,6 +104,38 @@ const on = {
   },
 };
 
+// Selects an object, and shows its floor.
+function selected(name) {
+  const entity = floor.entities.find((e) => e.name === name);
+  floor.selected = name;
+  if (entity && entity.floor !== floor.shown && entity.floor < floor.floors.length) showFloor(entity.floor); else floor.draw();
+}
+
+// Shows a floor; that of the robot is followed from then on.
+function showFloor(number) {
+  const r = robot();
+  floor.followed = !r || r.floor === number;
+  floor.show(number);
+  showFloors();
+}
+
+// Goes with the robot to another floor, unless another floor than the robot's was chosen.
+function followRobot() {
+  const r = robot();
+  if (r && floor.followed && r.floor !== floor.shown && r.floor < floor.floors.length) floor.show(r.floor);
+  showFloors();
+}
+
+function showFloors() {
+  const r = robot(), select = $('floor');
+  select.hidden = floor.floors.length < 2 || !$('scene3d').hidden;
+  if (document.activeElement === select) return;
+  const rows = floor.floors.map((f, number) => ({ number, text: `Floor ${number}${r && r.floor === number ? ' (robot)' : ''}`, z: f.z }));
+  rows.sort((a, b) => (r ? (b.number === r.floor) - (a.number === r.floor) : 0) || a.number - b.number);
+  keyed(select, rows, (row) => String(row.number), () => new Option(), (option, row) => { option.value = row.number; option.title = `${row.z.toFixed(2)} m`; if (option.textContent !== row.text) option.textContent = row.text; });
+  select.value = floor.shown;
+}
+
 // The button names the selected object: on a phone the list may be out of sight.
 function nameSpawn() {
   const chosen = $('catalogue').selectedOptions[0]?.text;
@@ -121,7 +154,7 @@ function showRate(rate) {
 // Shows the symbols of the items on the map.
 function showLegend() {
   for (const li of document.querySelectorAll('#legend li')) {
-    const shown = floor[li.dataset.of];
+    const shown = floor.here(floor[li.dataset.of]);
     li.hidden = !(li.dataset.of === 'entities' ? shown.some((e) => !e.robot) : shown.length);
   }
 }
@@ -141,13 +174,14 @@ for (const button of document.querySelectorAll('.mode')) button.onclick = () => 
   $('map').classList.toggle('place', floor.mode !== 'look');
 };
 $('fit').onclick = () => floor.fit();
+$('floor').onchange = () => { $('floor').blur(); showFloor(Number($('floor').value)); };
 $('three').onclick = () => {
   const shown = $('scene3d').hidden;
   if (shown && !scene.gl) return note('The 3-D view needs WebGL 2, which this browser does not have.', true);
   $('scene3d').hidden = !shown; $('map').hidden = shown; $('legend').hidden = shown; $('follow').hidden = !shown; $('fit').hidden = shown;
   $('three').setAttribute('aria-pressed', shown);
   document.querySelectorAll('.mode').forEach((b) => { b.hidden = shown; });
-  watch(); explainScene();
+  watch(); explainScene(); showFloors();
 };
 $('follow').onclick = () => { scene.follow = !scene.follow; $('follow').setAttribute('aria-pressed', scene.follow); };
 function togglePlots(shown) {
@@ -157,7 +191,7 @@ function togglePlots(shown) {
   plots.subscribe();
 }
 $('plots-toggle').onclick = () => togglePlots($('plot-card').hidden);
-$('robot').onchange = () => { driving.release(); selectedRobot = $('robot').value; remember('robot', selectedRobot); $('robot').blur(); };
+$('robot').onchange = () => { driving.release(); selectedRobot = $('robot').value; remember('robot', selectedRobot); floor.followed = true; followRobot(); $('robot').blur(); };
 $('play').onclick = () => send('time', { action: 'play' });
 $('pause').onclick = () => send('time', { action: 'pause' });
 $('step').onclick = () => send('time', { action: 'step', steps: 10 });

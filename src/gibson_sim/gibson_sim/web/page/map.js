@@ -7,7 +7,7 @@ const dark = matchMedia('(prefers-color-scheme: dark)');
 export class FloorMap {
   constructor(canvas, on) {
     this.canvas = canvas; this.context = canvas.getContext('2d'); this.on = on;
-    this.mode = 'look'; this.grid = null; this.robots = []; this.scan = []; this.paths = []; this.places = []; this.entities = []; this.doors = [];
+    this.mode = 'look'; this.grid = null; this.grids = []; this.floors = [{ z: 0, map: null }]; this.shown = 0; this.followed = true; this.robots = []; this.scan = []; this.paths = []; this.places = []; this.entities = []; this.doors = [];
     this.estimates = []; this.target = null; this.selected = ''; this.chosen = ''; this.view = null; this.drag = null; this.cursor = null; this.hover = ''; this.pending = false;
     this.pointers = new Map();
     new ResizeObserver(() => { this.view = null; this.draw(); }).observe(canvas);
@@ -17,21 +17,40 @@ export class FloorMap {
     canvas.onpointercancel = (event) => { this.pointers.delete(event.pointerId); this.drag = null; this.draw(); };
     canvas.onpointerleave = () => { this.cursor = null; this.hover = ''; this.draw(); };
     canvas.onwheel = (event) => { event.preventDefault(); this.zoom(event.offsetX, event.offsetY, Math.exp(-event.deltaY * 0.0015)); };
-    dark.addEventListener('change', () => { this.tint(); this.draw(); });
+    dark.addEventListener('change', () => { for (const g of this.grids) if (g) g.tinted = null; this.show(this.shown); });
   }
 
   color(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
 
-  async setMap(value) {
+  // Sets the floors, the lowest first: height and map, or null.
+  async setFloors(floors) {
+    this.floors = floors;
+    if (this.shown >= floors.length) this.shown = 0;
+    const known = new Map(this.grids.filter(Boolean).map((g) => [g.version, g]));
+    const grids = await Promise.all(floors.map((f) => f.map && (known.get(f.map.version) || this.load(f.map))));
+    if (this.floors === floors) { this.grids = grids; this.show(this.shown); } // else a later message was faster
+  }
+
+  async load(value) {
     const response = await fetch(`/data/${value.data}?${value.version}`);
-    if (!response.ok) return;
+    if (!response.ok) return null;
     const picture = await createImageBitmap(new Blob([await response.arrayBuffer()], { type: 'image/png' }));
-    const old = this.grid, other = !old || ['width', 'height', 'x', 'y', 'resolution'].some((key) => old[key] !== value[key]);
-    this.grid = { ...value, picture, tinted: picture };
-    this.tint();
-    if (other) this.view = null;
+    return { ...value, picture, tinted: null };
+  }
+
+  // Shows a floor.
+  show(number) {
+    const old = this.grid, grid = this.grids[number] || null;
+    this.shown = number; this.grid = grid;
+    if (grid && !grid.tinted) { grid.tinted = grid.picture; this.tint(); }
+    // The view stays where it is if the floors have maps of the same size; floors of a house are compared so.
+    if (!old || !grid || ['width', 'height', 'x', 'y', 'resolution'].some((key) => old[key] !== grid[key])) this.view = null;
+    this.canvas.dataset.floor = number;
     this.draw();
   }
+
+  // Returns those items that are on the shown floor.
+  here(items) { return this.floors.length < 2 ? items : items.filter((item) => item.floor === this.shown); }
 
   // Draws free cells and obstacles in the colours of the page.
   tint() {
@@ -97,7 +116,7 @@ export class FloorMap {
   // Returns the object selected by a click at a pixel; '' = none.
   thingAt(px, py) {
     let name = '', nearest = NEAR;
-    for (const e of this.entities) {
+    for (const e of this.here(this.entities)) {
       const [x, y] = this.screen(e.x, e.y), d = Math.hypot(x - px, y - py);
       if (!e.robot && d < nearest) { name = e.name; nearest = d; }
     }
@@ -140,7 +159,7 @@ export class FloorMap {
     this.pointers.delete(event.pointerId);
     if (drag && this.mode !== 'look') {
       const dx = drag.to[0] - drag.x, dy = drag.to[1] - drag.y, far = Math.hypot(dx, dy) * this.view.scale > 8;
-      this.on.place({ x: drag.x, y: drag.y, yaw: far ? Math.atan2(dy, dx) : 0 });
+      this.on.place({ x: drag.x, y: drag.y, z: this.floors[this.shown].z, yaw: far ? Math.atan2(dy, dx) : 0 });
     } else if (still) {
       const name = this.thingAt(event.offsetX, event.offsetY);
       if (name) this.on.select(name);
@@ -170,25 +189,25 @@ export class FloorMap {
       c.drawImage(g.tinted, x, y, g.width * size, g.height * size);
       canvas.dataset.map = g.version;
     }
-    this.line(this.paths, color('--good'));
+    this.line(this.here(this.paths).map((p) => p.points), color('--good'));
     c.fillStyle = color('--bad');
-    for (const [px, py] of this.scan) { const [x, y] = this.screen(px, py); c.fillRect(x - 1, y - 1, 2.5, 2.5); }
+    for (const s of this.here(this.scan)) for (const [px, py] of s.points) { const [x, y] = this.screen(px, py); c.fillRect(x - 1, y - 1, 2.5, 2.5); }
     this.labels = [];
     c.font = '11px system-ui, sans-serif';
-    for (const e of this.entities) this.thing(e, color);
-    for (const d of this.doors) this.door(d, color);
-    for (const p of this.places) this.place(p, color);
-    for (const e of this.estimates) {
+    for (const e of this.here(this.entities)) this.thing(e, color);
+    for (const d of this.here(this.doors)) this.door(d, color);
+    for (const p of this.here(this.places)) this.place(p, color);
+    for (const e of this.here(this.estimates)) {
       const [x, y] = this.screen(e.x, e.y);
       c.strokeStyle = color('--warn'); c.fillStyle = `${color('--warn')}33`; c.lineWidth = 1.5; c.beginPath();
       c.ellipse(x, y, Math.max(2, e.major * scale), Math.max(2, e.minor * scale), -e.angle, 0, 7); c.fill(); c.stroke();
     }
-    for (const r of this.robots) {
+    for (const r of this.here(this.robots)) {
       const mine = r.namespace === this.chosen || this.robots.length === 1;
       this.arrow(r.x, r.y, r.yaw, Math.max(9, r.radius * scale), color(mine ? '--accent' : '--soft'), true);
       if (this.robots.length > 1) this.label(r.name, ...this.screen(r.x, r.y), 14, color('--text'), true);
     }
-    if (this.target) this.flag(...this.screen(this.target.x, this.target.y), color('--good'));
+    if (this.target && this.here([this.target]).length) this.flag(...this.screen(this.target.x, this.target.y), color('--good'));
     if (this.drag && this.mode !== 'look') {
       const d = this.drag, yaw = Math.atan2(d.to[1] - d.y, d.to[0] - d.x);
       this.arrow(d.x, d.y, yaw, 14, color('--good'), false);

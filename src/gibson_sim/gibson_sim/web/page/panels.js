@@ -19,8 +19,13 @@ export class Panels {
 
   distance(item) { return this.robot ? Math.hypot(item.x - this.robot.x, item.y - this.robot.y) : 0; }
 
+  // Orders items by distance, those on the robot's floor first.
+  nearer(a, b) { return (this.robot ? (a.floor !== this.robot.floor) - (b.floor !== this.robot.floor) : 0) || this.distance(a) - this.distance(b); }
+
+  where(item) { return !this.robot ? '' : item.floor === this.robot.floor ? metres(this.distance(item)) : `floor ${item.floor}`; }
+
   setRobot(robot) {
-    const moved = !this.robot || !robot || Math.hypot(robot.x - this.robot.x, robot.y - this.robot.y) > 0.1 || robot.namespace !== this.robot.namespace;
+    const moved = !this.robot || !robot || Math.hypot(robot.x - this.robot.x, robot.y - this.robot.y) > 0.1 || robot.namespace !== this.robot.namespace || robot.floor !== this.robot.floor;
     if (!moved) return;
     this.robot = robot && { ...robot };
     this.showDoors(); this.showThings();
@@ -31,7 +36,7 @@ export class Panels {
   // Doors and drawers, nearest first.
   showDoors() {
     $('doors-panel').hidden = !this.doors.length;
-    const sorted = [...this.doors].sort((a, b) => this.distance(a) - this.distance(b) || a.joint.localeCompare(b.joint));
+    const sorted = [...this.doors].sort((a, b) => this.nearer(a, b) || a.joint.localeCompare(b.joint));
     keyed($('doors'), sorted, (d) => d.joint, (d) => {
       const li = element('li'), bar = element('i', '', { className: 'bar' }), button = element('button');
       const [body, joint] = d.joint.split('/');
@@ -41,7 +46,7 @@ export class Panels {
       return li;
     }, (li, d) => {
       const [, small, bar, button] = li.children, open = (d.moving ?? d.opening) > 0.5;
-      small.textContent = this.robot ? metres(this.distance(d)) : '';
+      small.textContent = this.where(d);
       bar.style.setProperty('--part', d.opening); bar.title = `${Math.round(100 * d.opening)} % open`;
       button.textContent = open ? 'Close' : 'Open';
       button.onclick = () => this.send('open', { joint: d.joint, opening: open ? 0 : 1 });
@@ -54,7 +59,7 @@ export class Panels {
 
   // Objects, nearest first; × asks for confirmation before deleting.
   showThings() {
-    const sorted = [...this.entities].sort((a, b) => b.robot - a.robot || this.distance(a) - this.distance(b));
+    const sorted = [...this.entities].sort((a, b) => b.robot - a.robot || this.nearer(a, b));
     $('things-empty').hidden = this.entities.length > 0;
     keyed($('things'), sorted, (e) => e.name, (e) => {
       const li = element('li'), small = element('small'), remove = element('button', '×', { title: `delete ${e.name}` });
@@ -68,7 +73,7 @@ export class Panels {
         setTimeout(() => { remove.classList.remove('sure'); remove.textContent = '×'; }, 3000);
       };
       return li;
-    }, (li, e) => { li.setAttribute('aria-selected', e.name === this.selected); li.children[1].textContent = this.robot && !e.robot ? metres(this.distance(e)) : ''; });
+    }, (li, e) => { li.setAttribute('aria-selected', e.name === this.selected); li.children[1].textContent = e.robot ? '' : this.where(e); });
   }
 
   setRecording(r) {

@@ -1,0 +1,20 @@
+"""On which floor of a scene a point is. Must import neither ROS nor a physics engine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+_BELOW = 0.2
+"""Distance below a floor within which a point still belongs to it, metres: robots and bodies on an uneven floor. Less than a storey's slab is thick."""
+
+
+def floor_at(floors: Sequence[float], z: float) -> int:
+    """Returns the index of the floor on which a point is: the highest that is at most 0.2 m above it, else the lowest.
+
+    So a lamp at the ceiling belongs to the floor below it, and a robot on a staircase to the floor that it comes from going up.
+
+    Args:
+        floors: heights of the floors in increasing order, world metres; empty counts as one floor.
+        z: height of the point, world metres.
+    """
+    return max((number for number, floor_z in enumerate(floors) if floor_z <= z + _BELOW), default=0)
