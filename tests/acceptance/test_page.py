@@ -15,7 +15,7 @@ from support.simulation import Launched, Listener, require
 require("rclpy", "gibson_msgs", "playwright")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
-from nav_msgs.msg import Odometry  # noqa: E402
+from nav_msgs.msg import OccupancyGrid, Odometry  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 
 from gibson_sim.bags.reader import BagReader  # noqa: E402
@@ -362,6 +362,66 @@ def test_the_estimate_of_a_localiser_is_an_ellipse(page: Any, listener: Listener
     publisher.publish(message)
     page.wait_for_function(f"({count})() > {before} + 20")
     listener.node.destroy_publisher(publisher)
+
+
+def test_the_map_shows_one_floor_of_a_house(page: Any, listener: Listener) -> None:
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    page.wait_for_function("document.querySelector('#map').dataset.labels.length > 0")
+    assert page.is_hidden("#floor"), "a house of one floor has no choice"
+    publishers = []
+    for number, z in enumerate((0.0, 2.86)):
+        grid = OccupancyGrid(data=[0] * 100)
+        grid.info.width, grid.info.height, grid.info.resolution, grid.info.origin.position.z = 10, 10, 1.0, z
+        publishers.append(listener.node.create_publisher(OccupancyGrid, f"floor_{number}/map", latched))
+        publishers[-1].publish(grid)
+    page.wait_for_selector("#floor", state="visible")
+    assert page.locator("#floor option").all_inner_texts() == ["Floor 0 (robot)", "Floor 1"]
+    rooms = page.get_attribute("#map", "data-labels")
+    page.select_option("#floor", "1")
+    page.wait_for_function("document.querySelector('#map').dataset.labels === ''")
+    page.wait_for_selector("#legend li[data-of=robots]", state="hidden")
+    page.select_option("#floor", "0")
+    page.wait_for_function("(rooms) => document.querySelector('#map').dataset.labels === rooms", arg=rooms)
+    for publisher in publishers:
+        listener.node.destroy_publisher(publisher)
+    page.wait_for_selector("#floor", state="hidden")
+
+
+def test_labels_do_not_cover_each_other_and_rooms_come_first(page: Any) -> None:
+    written = """async (labels) => {
+        const { FloorMap } = await import('/page/map.js'), canvas = document.createElement('canvas');
+        const map = new FloorMap(canvas, {}), boxes = [], c = map.context;
+        map.view = { scale: 100, x: 2, y: 2 };
+        Object.defineProperties(canvas, { clientWidth: { value: 400 }, clientHeight: { value: 400 } });
+        c.strokeText = (text, x, y) => boxes.push([text, x, y - 11, x + c.measureText(text).width, y + 3]);
+        c.font = '11px sans-serif'; map.labels = [];
+        for (const [text, x, y, rank] of labels) map.label(text, x, y, 5, '#000', rank);
+        map.writeLabels(400, 400, '#fff');
+        return boxes; }"""
+    room, thing = 2, 3
+    labels = [["cup", 2.0, 2.0, thing], ["bedroom_1", 2.0, 2.01, room], ["bedroom_2", 2.05, 2.0, room], ["hall", 3.95, 2.0, room]]
+    boxes = page.evaluate(written, labels + [["cup", 2.0, 2.0, thing]] * 20)
+    assert [box[0] for box in boxes[:3]] == ["bedroom_1", "bedroom_2", "hall"]
+    assert 3 < len(boxes) < 8, "what fits nowhere is left out"
+    for k, (name, *a) in enumerate(boxes):
+        assert a[0] >= 0 and a[2] <= 400, f"{name} ends at the edge"
+        for other, *b in boxes[k + 1 :]:
+            assert not (a[0] < b[2] and a[2] > b[0] and a[1] < b[3] and a[3] > b[1]), f"{name} lies over {other}"
+
+
+def test_a_name_of_a_node_is_not_broken_within_a_word(page: Any) -> None:
+    lines = """(name) => {
+        const li = document.createElement('li'), span = document.createElement('span'), small = document.createElement('small');
+        span.textContent = name; small.textContent = 'slower than the requested rate; '.repeat(8);
+        li.append(span, small); document.querySelector('#diagnostics').append(li);
+        const range = document.createRange(); range.selectNodeContents(span);
+        const [width, lines] = [li.scrollWidth - li.clientWidth, range.getClientRects().length];
+        li.remove(); return [width, lines]; }"""
+    for size in (DESKTOP, PHONE):
+        page.set_viewport_size(size)
+        assert page.evaluate(lines, "render") == [0, 1]
+        too_wide, count = page.evaluate(lines, "n" * 200)
+        assert too_wide == 0 and count > 1, "a name wider than the panel is broken"
 
 
 def _reset(page: Any, listener: Listener) -> None:

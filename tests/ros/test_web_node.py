@@ -18,7 +18,7 @@ from support.simulation import Launched, Listener, require, wait_until
 require("rclpy", "gibson_msgs")
 
 import aiohttp  # noqa: E402
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped  # noqa: E402
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped  # noqa: E402
 from nav_msgs.msg import OccupancyGrid, Odometry  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
@@ -60,12 +60,16 @@ async def _reply(socket: aiohttp.ClientWebSocketResponse) -> Any:
             return message.json()["value"]
 
 
-async def _robots(socket: aiohttp.ClientWebSocketResponse) -> list[Any]:
+async def _values(socket: aiohttp.ClientWebSocketResponse, kind: str) -> list[Any]:
     while True:
         message = await socket.receive(timeout=60)
-        if message.type is aiohttp.WSMsgType.TEXT and message.json()["type"] == "robots":
+        if message.type is aiohttp.WSMsgType.TEXT and message.json()["type"] == kind:
             found: list[Any] = message.json()["value"]
             return found
+
+
+async def _robots(socket: aiohttp.ClientWebSocketResponse) -> list[Any]:
+    return await _values(socket, "robots")
 
 
 def _bad_messages() -> list[tuple[type, str, Any, Any]]:
@@ -163,6 +167,51 @@ def test_a_robot_that_has_gone_is_forgotten(web: Launched, listener: Listener) -
         return robots
 
     assert _talk(web, talk) == []
+
+
+def _floor(z: float, width: int) -> OccupancyGrid:
+    grid = OccupancyGrid(data=[0] * width)
+    grid.info.width, grid.info.height, grid.info.resolution, grid.info.origin.position.z = width, 1, 1.0, z
+    return grid
+
+
+def test_each_floor_of_a_house_has_its_map_and_its_robots(web: Launched, listener: Listener) -> None:
+    node = listener.node
+    grids = {"map": _floor(0.0, 2), "floor_0/map": _floor(0.0, 2), "floor_1/map": _floor(2.86, 3)}
+    maps = {topic: node.create_publisher(OccupancyGrid, topic, LATCHED) for topic in grids}
+    for topic, publisher in maps.items():
+        publisher.publish(grids[topic])
+    robots = {name: node.create_publisher(Odometry, f"/{name}/odom", 10) for name in ("low", "high")}
+    goals = listener.collect(PoseStamped, "/high/goal_pose", 10)
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> None:
+        while len(floors := await _values(socket, "floors")) < 2 or None in (floor["map"] for floor in floors):
+            pass
+        assert [(floor["z"], floor["map"]["width"]) for floor in floors] == [(0.0, 2), (2.86, 3)]
+        while (found := {r["name"]: r["floor"] for r in await _robots(socket)}) != {"low": 0, "high": 1}:
+            for name, publisher in robots.items():
+                message = Odometry(child_frame_id="base")
+                message.pose.pose.orientation.w, message.pose.pose.position.z = 1.0, {"low": 0.05, "high": 2.9}[name]
+                publisher.publish(message)
+            assert set(found.values()) <= {0, 1}
+        texts = []
+        for z in (0.0, 2.86):
+            reply = {"text": "has no subscriber"}
+            while "has no subscriber" in reply["text"]:  # it is not discovered yet
+                await socket.send_json({"type": "goal", "x": 1.0, "y": 2.0, "z": z, "yaw": 0.0, "robot": "high"})
+                reply = await _reply(socket)
+            texts.append(reply["text"])
+        assert texts[0].startswith("sent to high/goal_pose, on floor 0; the robot is on floor 1")
+        assert texts[1] == "sent to high/goal_pose"
+        listener.spin_until(lambda: goals and goals[-1].pose.position.z == 2.86, "goal on the upper floor")
+        node.destroy_publisher(maps["floor_0/map"])
+        node.destroy_publisher(maps["floor_1/map"])
+        while len(await _values(socket, "floors")) > 1:  # a world with one floor has been loaded
+            pass
+
+    _talk(web, talk)
+    for publisher in (maps["map"], *robots.values()):
+        node.destroy_publisher(publisher)
 
 
 def test_the_robot_that_the_page_chooses_is_driven(web: Launched, listener: Listener) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 _BELOW = 0.2
-"""Distance below a floor within which a point still belongs to it, metres: robots and bodies on an uneven floor. Less than a storey's slab is thick."""
+"""Distance below a floor within which a point still belongs to it, metres: bodies on an uneven floor. A slab is thicker."""
 
 
 def floor_at(floors: Sequence[float], z: float) -> int:

@@ -189,8 +189,7 @@ class WebNode(Node):
     def handle_request(self, request: Request, answer: Answer) -> None:
         """Executes a request of a page; ``answer`` is called once it is done."""
         if isinstance(request, Goal):
-            robot = self._robot(request.robot)
-            answer(*(robot.send(request) if robot is not None else (False, "the domain has no robot")))
+            answer(*self._send_goal(request))
         elif isinstance(request, Spawn) and request.uri not in {entry["uri"] for entry in self._sent.get("catalogue", ())}:
             answer(False, f"{quoted(request.uri)} is not in the catalogue")
         elif isinstance(request, Plot):
@@ -206,6 +205,17 @@ class WebNode(Node):
             self._send_if_changed("task", self._task_values())
         else:
             self._simulation.ask(request, partial(self._answered, answer))
+
+    def _send_goal(self, goal: Goal) -> tuple[bool, str]:
+        """Publishes a goal or an initial pose; returns whether the page may call it sent, and a text for the page."""
+        robot = self._robot(goal.robot)
+        if robot is None:
+            return False, "the domain has no robot"
+        is_sent, text = robot.send(goal)
+        pose, floor = robot.page_values(self._tree), self._floors.floor_at(goal.z)
+        if is_sent and pose is not None and (its := self._floors.floor_at(pose[0]["z"])) != floor:
+            text += f", on floor {floor}; the robot is on floor {its}: navigation in the plane takes only x and y"
+        return is_sent, text
 
     def _robot(self, name: str) -> Robot | None:
         """Returns the robot with a namespace, or the first robot if ``name`` is empty."""

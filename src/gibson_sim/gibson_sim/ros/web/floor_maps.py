@@ -89,7 +89,7 @@ class FloorMaps:
         """Sends the maps of all floors, the lowest first: ``map`` takes the place of the map of its floor."""
         heights = self.heights
         shown: list[dict[str, Any] | None] = [None] * len(heights)
-        for topic, floor in sorted(self._maps.items(), key=lambda item: item[0] == names.MAP):
-            shown[floor_at(heights, floor.z)] = floor.values
+        for topic in sorted(self._maps, key=lambda topic: topic == names.MAP):
+            shown[floor_at(heights, self._maps[topic].z)] = self._maps[topic].values
         floors = [{"z": z, "map": values} for z, values in zip(heights, shown, strict=True)]
         self._server.broadcast("floors", floors, keep=True)

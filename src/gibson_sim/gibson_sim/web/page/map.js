@@ -2,6 +2,7 @@
 
 const MAX_TINTED = 16e6; // largest number of cells of a map drawn in the colours of the page
 const CLICK = 5, NEAR = 12; // pixels: a press that moves less is a click; radius in which a click selects an object
+const MARKED = 0, ROBOT = 1, ROOM = 2, THING = 3, COMPUTED = 4; // ranks of labels: where two would overlap, the lower one is written
 const dark = matchMedia('(prefers-color-scheme: dark)');
 
 export class FloorMap {
@@ -205,13 +206,14 @@ export class FloorMap {
     for (const r of this.here(this.robots)) {
       const mine = r.namespace === this.chosen || this.robots.length === 1;
       this.arrow(r.x, r.y, r.yaw, Math.max(9, r.radius * scale), color(mine ? '--accent' : '--soft'), true);
-      if (this.robots.length > 1) this.label(r.name, ...this.screen(r.x, r.y), 14, color('--text'), true);
+      if (this.robots.length > 1) this.label(r.name, r.x, r.y, 14, color('--text'), ROBOT);
     }
     if (this.target && this.here([this.target]).length) this.flag(...this.screen(this.target.x, this.target.y), color('--good'));
     if (this.drag && this.mode !== 'look') {
       const d = this.drag, yaw = Math.atan2(d.to[1] - d.y, d.to[0] - d.x);
       this.arrow(d.x, d.y, yaw, 14, color('--good'), false);
     }
+    this.writeLabels(w, h, color('--floor'));
     this.scaleBar(w, h, color);
   }
 
@@ -222,15 +224,26 @@ export class FloorMap {
     c.stroke();
   }
 
-  // Writes a label beside a point, unless it would overlap another label.
-  label(text, x, y, gap, color, always = false) {
-    const c = this.context, width = c.measureText(text).width, box = [x + gap, y - 7, x + gap + width, y + 7];
-    const covers = this.labels.some((b) => box[0] < b[2] && box[2] > b[0] && box[1] < b[3] && box[3] > b[1]);
-    if (covers && !always) return;
-    this.labels.push(box);
-    c.lineWidth = 3; c.lineJoin = 'round'; c.strokeStyle = getComputedStyle(document.documentElement).getPropertyValue('--floor').trim();
-    c.strokeText(text, x + gap, y + 4);
-    c.fillStyle = color; c.fillText(text, x + gap, y + 4);
+  // Notes a label of a point (m) to be written at `gap` pixels from it.
+  label(text, x, y, gap, color, rank) { this.labels.push({ text, at: this.screen(x, y), gap, color, rank }); }
+
+  // Writes the labels, the important ones first: to the right of their point, else to its left, above or below it, where it fits between those
+  // written and the edges. A label that fits nowhere is left out, unless it is marked or of a robot.
+  writeLabels(w, h, halo) {
+    const c = this.context, written = [], names = [];
+    c.lineWidth = 3; c.lineJoin = 'round'; c.strokeStyle = halo;
+    for (const l of this.labels.sort((a, b) => a.rank - b.rank)) {
+      const [x, y] = l.at, width = c.measureText(l.text).width;
+      if (x < -width - l.gap || y < -20 || x > w + width + l.gap || y > h + 20) continue;
+      const boxes = [[x + l.gap, y], [x - l.gap - width, y], [x - width / 2, y - l.gap - 8], [x - width / 2, y + l.gap + 8]].map(([left, middle]) => [left, middle - 7, left + width, middle + 7]);
+      const fits = (box) => box[0] >= 0 && box[1] >= 0 && box[2] <= w && box[3] <= h && !written.some((b) => box[0] < b[2] && box[2] > b[0] && box[1] < b[3] && box[3] > b[1]);
+      const box = boxes.find(fits) || (l.rank <= ROBOT ? boxes[0] : null);
+      if (!box) continue;
+      written.push(box); names.push(l.text);
+      c.strokeText(l.text, box[0], box[1] + 11);
+      c.fillStyle = l.color; c.fillText(l.text, box[0], box[1] + 11);
+    }
+    this.canvas.dataset.labels = names.join('\n');
   }
 
   thing(e, color) {
@@ -238,7 +251,7 @@ export class FloorMap {
     const c = this.context, [x, y] = this.screen(e.x, e.y), selected = e.name === this.selected, marked = selected || e.name === this.hover;
     c.strokeStyle = color('--accent'); c.fillStyle = `${color('--accent')}${selected ? 'cc' : '40'}`; c.lineWidth = marked ? 2 : 1.2;
     c.fillRect(x - 4, y - 4, 8, 8); c.strokeRect(x - 4, y - 4, 8, 8);
-    if (marked || this.view.scale > 70) this.label(e.name, x, y, 8, color(marked ? '--text' : '--accent'), marked);
+    if (marked || this.view.scale > 70) this.label(e.name, e.x, e.y, 8, color(marked ? '--text' : '--accent'), marked ? MARKED : THING);
   }
 
   // Draws a door or a drawer: a disc filled in proportion to the opening.
@@ -247,14 +260,14 @@ export class FloorMap {
     c.beginPath(); c.arc(x, y, 5, 0, 7); c.fillStyle = color('--card'); c.fill();
     c.beginPath(); c.moveTo(x, y); c.arc(x, y, 5, -Math.PI / 2, -Math.PI / 2 + 2 * Math.PI * Math.max(0, Math.min(1, d.opening))); c.fillStyle = color('--warn'); c.fill();
     c.beginPath(); c.arc(x, y, 5, 0, 7); c.strokeStyle = color('--warn'); c.lineWidth = marked ? 2.5 : 1.4; c.stroke();
-    if (marked || this.view.scale > 70) this.label(body, x, y, 9, color(marked ? '--text' : '--warn'), marked);
+    if (marked || this.view.scale > 70) this.label(body, d.x, d.y, 9, color(marked ? '--text' : '--warn'), marked ? MARKED : THING);
   }
 
   place(p, color) {
     if (p.name.includes('/') && this.view.scale < 90) return; // computed poses: rooms and starts have priority
     const c = this.context, [x, y] = this.screen(p.x, p.y);
     c.fillStyle = color('--soft'); c.beginPath(); c.arc(x, y, 2.5, 0, 7); c.fill();
-    if (this.view.scale > 9) this.label(p.name, x, y, 5, color('--soft'));
+    if (this.view.scale > 9) this.label(p.name, p.x, p.y, 5, color('--soft'), p.name.includes('/') ? COMPUTED : ROOM);
   }
 
   flag(x, y, color) {
