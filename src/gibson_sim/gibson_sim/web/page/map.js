@@ -235,7 +235,7 @@ export class FloorMap {
     for (const l of this.labels.sort((a, b) => a.rank - b.rank)) {
       const [x, y] = l.at, width = c.measureText(l.text).width;
       if (x < -width - l.gap || y < -20 || x > w + width + l.gap || y > h + 20) continue;
-      const boxes = [[x + l.gap, y], [x - l.gap - width, y], [x - width / 2, y - l.gap - 8], [x - width / 2, y + l.gap + 8]].map(([left, middle]) => [left, middle - 7, left + width, middle + 7]);
+      const boxes = [[x + l.gap, y], [x - l.gap - width, y], [x - width / 2, y - l.gap - 10], [x - width / 2, y + l.gap + 10]].map(([left, middle]) => [left, middle - 7, left + width, middle + 7]);
       const fits = (box) => box[0] >= 0 && box[1] >= 0 && box[2] <= w && box[3] <= h && !written.some((b) => box[0] < b[2] && box[2] > b[0] && box[1] < b[3] && box[3] > b[1]);
       const box = boxes.find(fits) || (l.rank <= ROBOT ? boxes[0] : null);
       if (!box) continue;
