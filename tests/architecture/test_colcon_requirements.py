@@ -22,8 +22,8 @@ SOURCES = {
     "gibson_path_following": "ros_ws/src/gibson_path_following",
 }  # fmt: skip
 OF_ROSDEP = {
-    "python3-aiohttp": "aiohttp", "python3-numpy": "numpy", "python3-opencv": "opencv-python-headless", "python3-scipy": "scipy",
-    "python3-yaml": "pyyaml", "xacro": "xacro",
+    "python3-aiohttp": "aiohttp", "python3-numpy": "numpy", "python3-opencv": "opencv-python-headless", "python3-pil": "pillow",
+    "python3-scipy": "scipy", "python3-yaml": "pyyaml", "xacro": "xacro",
 }  # fmt: skip
 """Key of rosdep -> package of PyPI that has the same module."""
 BOUNDS = {"numpy"}

@@ -17,7 +17,7 @@ from gibson_sim.client_config import FoxgloveConfig, WebConfig
 PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench", "gibson_path_following")
 IN_WORKSPACE = ("gibson_path_following",)
 """Packages that are copied with the workspace."""
-FROM_UBUNTU = {"numpy", "opencv-python-headless", "pyyaml", "scipy", "xacro"}
+FROM_UBUNTU = {"numpy", "opencv-python-headless", "pillow", "pyyaml", "scipy", "xacro"}
 """Dependencies that the image takes from Ubuntu or ROS."""
 
 

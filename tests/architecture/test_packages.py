@@ -18,8 +18,8 @@ PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson
 NOT_IMPORTED = {"gibson_sim": {"xacro"}}
 """What the code needs without an import statement: programs that it starts."""
 PACKAGE_OF = {
-    "bmesh": "bpy", "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "foxglove": "foxglove-sdk", "mathutils": "bpy", "pxr": "usd-core",
-    "ruamel": "ruamel-yaml", "yaml": "PyYAML",
+    "PIL": "Pillow", "bmesh": "bpy", "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "foxglove": "foxglove-sdk",
+    "mapbox_earcut": "mapbox-earcut", "mathutils": "bpy", "pxr": "usd-core", "ruamel": "ruamel-yaml", "yaml": "PyYAML",
 }  # fmt: skip
 ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}
 EXACT = re.compile(r"[a-z0-9-]+==[0-9][0-9.]*(a[0-9]+)?( ; python_version (<|>=) \"3\.\d+\")?")

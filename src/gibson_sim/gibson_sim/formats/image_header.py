@@ -34,6 +34,9 @@ class ImageHeader:
     channels: int
     """Channels of the decoded image, 3 or 4."""
 
+    kind: str = ""
+    """Name in Pillow of kinds that OpenCV cannot decode, or not with their alpha: TGA, TIFF, BMP, GIF, PNG with a transparent grey; else ""."""
+
     @property
     def pixels(self) -> int:
         """Number of pixels."""
@@ -62,10 +65,10 @@ def _size(data: bytes) -> ImageHeader | None:
         return _webp(data)
     if data.startswith(b"BM"):
         width, height, _, bits = struct.unpack_from("<iiHH", data, 18)
-        return ImageHeader(abs(width), abs(height), 4 if bits == 32 else 3)
+        return ImageHeader(abs(width), abs(height), 4 if bits == 32 else 3, "BMP")
     if data.startswith((b"GIF87a", b"GIF89a")):
         width, height = struct.unpack_from("<HH", data, 6)
-        return ImageHeader(width, height, 4)
+        return ImageHeader(width, height, 4, "GIF")
     if data[:4] in (b"II*\0", b"MM\0*"):
         return _tiff(data, "<" if data[:2] == b"II" else ">")
     if data.startswith(b"#?"):
@@ -80,10 +83,13 @@ def _size(data: bytes) -> ImageHeader | None:
 def _png(data: bytes) -> ImageHeader | None:
     width, height = struct.unpack_from(">II", data, 16)
     at = 8
+    has_grey_key = False
     for _ in range(_MAX_CHUNKS):
         if at + 8 > len(data):
-            return ImageHeader(width, height, _PNG_CHANNELS.get(data[25], 4))
+            channels = 4 if has_grey_key else _PNG_CHANNELS.get(data[25], 4)
+            return ImageHeader(width, height, channels, "PNG" if has_grey_key else "")
         (length,) = struct.unpack_from(">I", data, at)
+        has_grey_key |= data[25] == 0 and data[at + 4 : at + 8] == b"tRNS"
         if length > max(len(data), _LARGE_CHUNK):
             return None
         at += 12 + length
@@ -129,11 +135,11 @@ def _tiff(data: bytes, order: str) -> ImageHeader | None:
     for k in range(count):
         tag, kind = struct.unpack_from(f"{order}HH", data, at + 2 + 12 * k)
         tags[tag] = int(struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, at + 10 + 12 * k)[0])
-    return ImageHeader(tags[256], tags[257], 4 if tags.get(277, 3) == 4 else 3) if 256 in tags and 257 in tags else None
+    return ImageHeader(tags[256], tags[257], 4 if tags.get(277, 3) == 4 else 3, "TIFF") if 256 in tags and 257 in tags else None
 
 
 def _tga(data: bytes) -> ImageHeader | None:
     if len(data) < 18 or data[1] not in (0, 1) or data[2] not in (1, 2, 3, 9, 10, 11) or data[16] not in (8, 15, 16, 24, 32):
         return None
     width, height = struct.unpack_from("<HH", data, 12)
-    return ImageHeader(width, height, 4 if data[16] == 32 else 3)
+    return ImageHeader(width, height, 4 if data[16] == 32 else 3, "TGA")

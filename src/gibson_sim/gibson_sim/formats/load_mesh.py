@@ -163,9 +163,13 @@ class MeshLoader:
         elif suffix == ".dae":
             parts, up_axis, unit_m = load_dae(path, data, textures, files, warn)
         elif suffix == ".stl":
-            parts = load_stl(path, data)
+            parts = load_stl(path, data, warn)
         elif suffix == ".ply":
             parts = load_ply(path, data, textures, files, warn)
+        elif suffix == ".zae":
+            raise MeshError(
+                f"{path}: is a ZIP archive of a COLLADA file, which is not read; unpack it and use the .dae file in it"
+            )
         else:
             raise MeshError(
                 f"{path}: {quoted(suffix or 'no suffix')} is not a mesh format that can be read; known: {', '.join(MESH_SUFFIXES)}"

@@ -309,13 +309,3 @@ def index_corners(*columns: I64) -> tuple[I64, I64]:
         key = key * span + (column - low)
     _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
     return first.astype(np.int64), inverse.reshape(-1).astype(np.int64)
-
-
-def fan(counts: I64) -> I64:
-    """Returns the triangle fans (F, 3) of polygons with ``counts`` (P,) corners, as indices into the concatenated corners of all polygons."""
-    counts = np.asarray(counts, dtype=np.int64)
-    starts = np.cumsum(counts) - counts
-    per_polygon = np.maximum(counts - 2, 0)
-    first = np.repeat(starts, per_polygon)
-    within = np.arange(int(per_polygon.sum())) - np.repeat(np.cumsum(per_polygon) - per_polygon, per_polygon)
-    return np.stack([first, first + within + 1, first + within + 2], axis=1)

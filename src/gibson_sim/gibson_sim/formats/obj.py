@@ -1,12 +1,17 @@
-"""Reads Wavefront OBJ with its MTL files. The format has no units and no up axis: metres and z up are assumed."""
+"""Reads Wavefront OBJ with its MTL files. The format has no units and no up axis: metres and z up are assumed.
+
+trimesh (5.2) is not used: it cuts concave polygons into fans, finds no faces where tabs separate words, loses the vertices of faces whose corners
+differ in form, and ignores options of textures.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 import re
-import shlex
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +20,53 @@ from numpy.typing import NDArray
 from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.file_roots import is_inside
-from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, Material, MeshPart, area_normals, build_part, fan, index_corners
+from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, Material, MeshPart, Sampling, area_normals, build_part, index_corners
+from gibson_sim.formats.polygons import triangulate
 from gibson_sim.formats.textures import TextureStore, Warn, local_path
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, read_file
 from gibson_sim.types import Rgba
 
 _NUMBER = re.compile(r"-?\d+")
-_TEXTURE_OPTIONS = {
+_USED = ("v", "vt", "vn", "f", "usemtl", "mtllib")
+_WITHOUT_EFFECT = ("g", "o", "s", "mg", "lod", "bevel", "c_interp", "d_interp")
+"""Names, groups and rendering hints: normals of the file, else smooth ones, are used."""
+_LEFT_OUT = {
+    "l": "are left out: lines have no surface",
+    "p": "are left out: points have no surface",
+    "maplib": "are left out: the surfaces keep the textures of their materials",
+    "usemap": "are left out: the surfaces keep the textures of their materials",
+}
+"""Key of a line -> what changes."""
+_UNKNOWN = "are left out: free-form curves and surfaces, and lines of other programs, are not drawn; export polygons"
+_OPTION_VALUES = {
     "-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-mm": 2, "-o": 3, "-s": 3,
     "-t": 3, "-texres": 1, "-type": 1,
 }  # fmt: skip
+"""Option of a texture -> number of its values; of -o, -s and -t the last two may be missing."""
+_OPTIONS_LEFT_OUT = {
+    "-bm": "bumps have another height", "-boost": "the image is less sharp far away", "-cc": "its colours are not corrected",
+    "-imfchan": "its colour channels are used", "-mm": "its contrast is unchanged", "-t": "it has no turbulence",
+    "-type": "it is mapped by texture coordinates",
+}  # fmt: skip
+_MTL_USED = ("kd", "d", "tr", "ke", "map_kd", "map_d", "pm", "pr")
+_MTL_WITHOUT_EFFECT = ("ka", "ks", "ns", "ni", "illum", "tf", "sharpness", "map_ka", "map_aat", "aniso", "anisor")
+"""Terms of the Phong model and of refraction, which almost every exporter writes and a matte surface lacks."""
+_MTL_LEFT_OUT = {
+    "map_ks": "highlights are even", "map_ns": "highlights are even", "map_ke": "the surface emits evenly", "map_bump": "the surface is smooth",
+    "bump": "the surface is smooth", "norm": "the surface is smooth", "disp": "the surface is smooth", "decal": "it is not drawn",
+    "refl": "nothing is reflected", "map_pr": "the roughness is even", "map_pm": "the metalness is even", "pc": "there is no clear coat",
+    "pcr": "there is no clear coat", "ps": "there is no sheen",
+}  # fmt: skip
+"""Key of a material, lower case -> what changes without it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Mapping:
+    """Options of a texture that change texture coordinates (v upwards): ``uv * scale + offset``."""
+
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass
@@ -54,20 +95,21 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
         raise MeshError(f"{path}: is not an OBJ file: it is not text")
     lines = data.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
     rows: dict[str, tuple[list[int], list[str]]] = defaultdict(lambda: ([], []))
+    left_out: dict[str, int] = defaultdict(int)
     for number, line in enumerate(lines):
-        key, _, rest = line.strip().partition(" ")
-        if key in ("v", "vt", "vn", "f"):
+        key, rest = _split_key(line)
+        if key in _USED:
             rows[key][0].append(number)
             rows[key][1].append(rest)
-        elif key in ("usemtl", "mtllib"):
-            rows[key][0].append(number)
-            rows[key][1].append(rest.strip())
+        elif key and not key.startswith("#") and key not in _WITHOUT_EFFECT:
+            left_out[key] += 1
+    for key, count in left_out.items():
+        warn(Omission(f"{path}: {count} line(s) {quoted(key)} {_LEFT_OUT.get(key, _UNKNOWN)}", OmissionKind.UNSUPPORTED_ELEMENT))
     if not rows["v"][0]:
         raise MeshError(f"{path}: has no vertices; is it an OBJ file?")
     positions, texcoords, normals = _table(path, rows["v"][1], 3), _table(path, rows["vt"][1], 2), _table(path, rows["vn"][1], 3)
-    texcoords[:, 1] = 1.0 - texcoords[:, 1]
     known = _materials(path, [name for line in rows["mtllib"][1] for name in _names(line, path)], textures, files, warn)
-    faces = _faces_by_material(path, rows, (len(positions), len(texcoords), len(normals)))
+    faces = _faces_by_material(path, rows, positions, (len(positions), len(texcoords), len(normals)))
     smooth = _smooth_normals(path, positions, faces)
     colors = _colors(rows["v"][1])
     parts = []
@@ -75,10 +117,16 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
         if name and name not in known:
             warn(f"{path}: material {quoted(name)} is not defined in its .mtl; the surface is light grey")
         plain = Material(name) if colors is None else Material(name, (1.0, 1.0, 1.0, 1.0), unlit=True)
-        part = _part(path, face, positions, texcoords, normals, smooth, known.get(name, plain), colors)
+        part = _part(path, face, positions, texcoords, normals, smooth, *known.get(name, (plain, _Mapping())), colors)
         if part is not None:
             parts.append(part)
     return parts
+
+
+def _split_key(line: str) -> tuple[str, str]:
+    """Returns the first word of a line, and the rest without the white space around it; both may be empty."""
+    key, *rest = line.split(None, 1) or [""]
+    return key, rest[0].strip() if rest else ""
 
 
 def _table(path: Path, lines: list[str], width: int) -> F64:
@@ -116,7 +164,7 @@ def _colors(lines: list[str]) -> NDArray[np.uint8] | None:
 
 
 def _faces_by_material(
-    path: Path, rows: dict[str, tuple[list[int], list[str]]], totals: tuple[int, int, int]
+    path: Path, rows: dict[str, tuple[list[int], list[str]]], positions: F64, totals: tuple[int, int, int]
 ) -> dict[str, _Faces]:
     """Returns material name -> triangles, with absolute indices.
 
@@ -128,10 +176,9 @@ def _faces_by_material(
     uses = rows["usemtl"]
     usemtl_row = np.searchsorted(np.array(uses[0], dtype=np.int64), np.array(numbers, dtype=np.int64)) - 1
     for k, text in enumerate(texts):
-        pattern = " ".join(_NUMBER.sub("", text.partition("#")[0]).split(" ")).strip()
-        groups[
-            (uses[1][usemtl_row[k]] if usemtl_row[k] >= 0 else "", pattern + f" {len(text.partition('#')[0].split())}")
-        ].append(k)
+        words = text.partition("#")[0].split()
+        pattern = _NUMBER.sub("", " ".join(words)).strip()
+        groups[(uses[1][usemtl_row[k]] if usemtl_row[k] >= 0 else "", pattern + f" {len(words)}")].append(k)
     # A negative index counts back from the last vertex before the line of the face.
     defined = [
         np.searchsorted(np.array(rows[key][0], dtype=np.int64), np.array(numbers, dtype=np.int64)) for key in ("v", "vt", "vn")
@@ -142,20 +189,19 @@ def _faces_by_material(
         n_corners = columns.shape[1]
         if n_corners < 3:
             continue
-        corners = fan(np.full(len(members), n_corners))
         index = []
         for column in range(3):
             values = columns[:, :, column]
             defined_before = defined[column][members][:, None]
             absolute = np.where(values > 0, values - 1, np.where(values < 0, values + defined_before, -1))
-            used = absolute[values != 0]
-            if len(used) and (used.min() < 0 or used.max() >= totals[column]):
-                raise MeshError(
-                    f"{path}: a face names {('vertex', 'texture coordinate', 'normal')[column]} {int(used.max()) + 1}, "
-                    f"but there are {totals[column]}; the OBJ is broken"
-                )
-            index.append(absolute.ravel()[corners])
-        faces[material].append(_Faces(*index))
+            is_wrong = (values != 0) & ((absolute < 0) | (absolute >= totals[column])) | ((values == 0) if column == 0 else False)
+            if is_wrong.any():
+                kind = ("vertex", "texture coordinate", "normal")[column]
+                named = int(values[is_wrong][0])
+                raise MeshError(f"{path}: a face names {kind} {named}, but there are {totals[column]}, from 1; the OBJ is broken")
+            index.append(absolute.ravel())
+        corners = triangulate(positions, index[0], np.full(len(members), n_corners))[0]
+        faces[material].append(_Faces(*(column[corners] for column in index)))
     return {
         name: _Faces(*(np.concatenate([getattr(f, field) for f in groups_of_faces]) for field in ("positions", "uvs", "normals")))
         for name, groups_of_faces in faces.items()
@@ -164,20 +210,19 @@ def _faces_by_material(
 
 def _columns(path: Path, texts: list[str]) -> I64:
     """Returns the v, vt and vn indices of faces of one pattern, (faces, corners, 3) int64, 0 = not given."""
-    words = texts[0].split()
-    slashes = words[0].count("/")
-    double = "//" in words[0]
-    if any(w.count("/") != slashes or ("//" in w) != double for w in words):
-        raise MeshError(f"{path}: face {quoted(texts[0].strip())} mixes corner formats; the OBJ is broken")
-    width = 2 if double else len([p for p in words[0].split("/") if p])
+    # Which of v, vt and vn each corner gives: corners of one face may differ, as in ``f 1/1 2 3``.
+    given = [[bool(index) for index in word.split("/")] for word in texts[0].split()]
+    if any(len(corner) > 3 or not corner[0] for corner in given):
+        raise MeshError(
+            f"{path}: face {quoted(texts[0].strip())} has a corner that is not v, v/vt, v//vn or v/vt/vn; the OBJ is broken"
+        )
+    slots = [3 * k + column for k, corner in enumerate(given) for column, present in enumerate(corner) if present]
+    out = np.zeros((len(texts), 3 * len(given)), dtype=np.int64)
     try:
-        values = np.array(" ".join(texts).replace("/", " ").split(), dtype=np.int64).reshape(len(texts), len(words), width)
-    except ValueError as e:
+        out[:, slots] = np.array(" ".join(texts).replace("/", " ").split(), dtype=np.int64).reshape(len(texts), len(slots))
+    except (ValueError, OverflowError) as e:
         raise MeshError(f"{path}: face {quoted(texts[0].strip())} cannot be read; the OBJ is broken") from e
-    out = np.zeros((*values.shape[:2], 3), dtype=np.int64)
-    targets = [0, 2] if double else [0, 1, 2][:width]
-    out[:, :, targets] = values
-    return out
+    return out.reshape(len(texts), len(given), 3)
 
 
 def _smooth_normals(path: Path, positions: F64, faces: dict[str, _Faces]) -> F64 | None:
@@ -196,6 +241,7 @@ def _part(
     normals: F64,
     smooth: F64 | None,
     material: Material,
+    mapping: _Mapping,
     colors: NDArray[np.uint8] | None,
 ) -> MeshPart | None:
     p, t, n = face.positions.ravel(), face.uvs.ravel(), face.normals.ravel()
@@ -205,7 +251,8 @@ def _part(
     p, t, n = p[first], t[first], n[first]
     uvs = None
     if len(texcoords) and (t >= 0).any():
-        uvs = np.where((t >= 0)[:, None], texcoords[t], 0.0)
+        u, v = (texcoords[t] * mapping.scale + mapping.offset).T
+        uvs = np.where((t >= 0)[:, None], np.stack([u, 1.0 - v], axis=1), 0.0)
     corner_normals = normals[n] if len(normals) else None
     if smooth is not None:
         corner_normals = smooth[p] if corner_normals is None else np.where((n >= 0)[:, None], corner_normals, smooth[p])
@@ -221,8 +268,10 @@ def _names(line: str, path: Path) -> list[str]:
     return [line] if is_file(local_path(line, path.parent)) or " " not in line else line.split()
 
 
-def _materials(path: Path, names: list[str], textures: TextureStore, files: list[Path], warn: Warn) -> dict[str, Material]:
-    materials: dict[str, Material] = {}
+def _materials(
+    path: Path, names: list[str], textures: TextureStore, files: list[Path], warn: Warn
+) -> dict[str, tuple[Material, _Mapping]]:
+    materials: dict[str, tuple[Material, _Mapping]] = {}
     for name in names:
         file = local_path(name, path.parent)
         if not is_inside(file, textures.roots):
@@ -237,30 +286,44 @@ def _materials(path: Path, names: list[str], textures: TextureStore, files: list
         blocks: dict[str, dict[str, str]] = {}
         current: dict[str, str] = {}
         for line in read_file(file).decode("utf-8", errors="replace").splitlines():
-            key, _, rest = line.strip().partition(" ")
+            key, rest = _split_key(line)
             if key == "newmtl":
-                current = blocks.setdefault(rest.strip(), {})
+                current = blocks.setdefault(rest, {})
             elif key and not key.startswith("#"):
-                current[key.lower()] = rest.strip()
+                current[key.lower()] = rest
         materials.update({key: _material(key, block, file, path, textures, files, warn) for key, block in blocks.items()})
     return materials
 
 
 def _material(
     name: str, block: dict[str, str], mtl: Path, obj: Path, textures: TextureStore, files: list[Path], warn: Warn
-) -> Material:
-    uri = _texture_name(block.get("map_kd", ""))
+) -> tuple[Material, _Mapping]:
+    said = f"{mtl}: material {quoted(name)}"
+    for key in block:
+        if key in _MTL_LEFT_OUT:
+            warn(Omission(f"{said}: {key} is left out; {_MTL_LEFT_OUT[key]}", OmissionKind.UNSUPPORTED_ELEMENT))
+        elif key not in _MTL_USED and key not in _MTL_WITHOUT_EFFECT:
+            warn(Omission(f"{said}: {quoted(key)} is unknown and has no effect", OmissionKind.UNSUPPORTED_ELEMENT))
+    uri, mapping, clamp = _texture(said, block.get("map_kd", ""), warn)
     # Paths are relative to the .mtl, but warnings and the search for missing textures use the mesh.
     texture = textures.from_uri(uri, mtl.parent / obj.name, files, warn) if uri else None
+    if texture is not None and clamp:
+        texture = textures.with_sampling(texture, Sampling(wrap_u="clamp", wrap_v="clamp"))
+    if "-halo" in block.get("d", ""):
+        warn(Omission(f"{said}: -halo of d is left out; the opacity is the same from all directions"))
     alpha = _floats(block.get("d", ""), 1, (1.0,), mtl, warn)[0]
-    # Tr is ignored: it is opacity for some exporters, and transparency for others.
+    if "tr" in block and "d" not in block and _floats(block["tr"], 1, (0.0,), mtl, warn)[0] not in (0.0, 1.0):
+        # Tr is opacity for some exporters, and transparency for others; only d is unambiguous.
+        warn(Omission(f"{said}: Tr without d is left out, since programs disagree on its meaning; the surface is opaque"))
     color: Rgba = (1.0, 1.0, 1.0, alpha)
     if texture is None:
         r, g, b = _floats(block.get("kd", ""), 3, LIGHT_GREY[:3], mtl, warn)
         color = (r, g, b, alpha)
     has_cut_out = "map_d" in block and texture is not None and texture.pixels.shape[2] == 4
+    if "map_d" in block and not has_cut_out:
+        warn(Omission(f"{said}: map_d is left out: only the alpha channel of map_Kd is used; the surface has no holes"))
     red, green, blue = _floats(block.get("ke", ""), 3, (0.0, 0.0, 0.0), mtl, warn)
-    return Material(
+    material = Material(
         name,
         color,
         texture,
@@ -269,6 +332,7 @@ def _material(
         roughness=_floats(block.get("pr", ""), 1, (1.0,), mtl, warn)[0],
         emissive=(red, green, blue),
     )
+    return material, mapping
 
 
 def _floats(text: str, count: int, default: tuple[float, ...], mtl: Path, warn: Warn) -> tuple[float, ...]:
@@ -285,11 +349,34 @@ def _floats(text: str, count: int, default: tuple[float, ...], mtl: Path, warn: 
     return values
 
 
-def _texture_name(text: str) -> str:
-    """Returns the file name of a map_Kd line without options such as ``-s 1 1 1``."""
-    if not text.startswith("-"):
-        return text
-    words = shlex.split(text.replace("\\", "/"))
-    while words and words[0] in _TEXTURE_OPTIONS:
-        words = words[1 + _TEXTURE_OPTIONS[words[0]] :]
-    return " ".join(words)
+def _texture(said: str, text: str, warn: Warn) -> tuple[str, _Mapping, bool]:
+    """Returns file name, mapping and ``-clamp on`` of a texture line such as ``-s 2 2 1 wood.png``; options that have no effect are named."""
+    words = text.split(" ")
+    scale, offset, clamp = [1.0, 1.0], [0.0, 0.0], False
+    while words and words[0].lower() in _OPTION_VALUES:
+        option = words.pop(0).lower()
+        most = _OPTION_VALUES[option]
+        values = list(takewhile(_is_number, words[:most])) if option in ("-o", "-s", "-t") else words[:most]
+        words = words[len(values) :]
+        while words and not words[0]:
+            words.pop(0)
+        if option in ("-o", "-s"):
+            target = scale if option == "-s" else offset
+            target[: min(len(values), 2)] = [float(value) for value in values[:2]]
+        elif option == "-clamp":
+            clamp = values == ["on"]
+        elif option in _OPTIONS_LEFT_OUT:
+            warn(
+                Omission(
+                    f"{said}: option {option} of map_Kd is left out; {_OPTIONS_LEFT_OUT[option]}",
+                    OmissionKind.UNSUPPORTED_ELEMENT,
+                )
+            )
+    return " ".join(words).strip(), _Mapping((scale[0], scale[1]), (offset[0], offset[1])), clamp
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False

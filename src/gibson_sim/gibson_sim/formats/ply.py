@@ -1,6 +1,9 @@
-"""Reads PLY, text and binary: triangles and polygons with normals, vertex colours or a texture. Metres and z up are assumed.
+"""Reads PLY, text and binary: polygons and triangle strips with normals, colours of vertices or faces, or a texture. Metres and z up are assumed.
 
-Format: http://paulbourke.net/dataformats/ply/. Vertex colours come from scans and include the light of the room, so these surfaces are unlit.
+Format: http://paulbourke.net/dataformats/ply/. Colours come from scans and include the light of the room, so these surfaces are unlit.
+
+trimesh (5.2) is not used: it cuts concave polygons into fans, draws no strips, and reads a text file that is cut without a word. plyfile leaves
+polygons, strips, colours and textures to its caller.
 """
 
 from __future__ import annotations
@@ -13,8 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
-from gibson_sim.formats.mesh import F64, I64, Material, MeshPart, build_part, fan, index_corners
+from gibson_sim.formats.mesh import F64, I64, Material, MeshPart, build_part, index_corners
+from gibson_sim.formats.polygons import triangulate
 from gibson_sim.formats.textures import TextureStore, Warn
 from gibson_sim.quoting import quoted
 
@@ -24,6 +29,14 @@ _TYPES = {
 }  # fmt: skip
 _MAX_HEADER = 64 * 1024
 _INDICES = ("vertex_indices", "vertex_index")
+_COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_ALPHA_NAMES = ("alpha", "a")
+_ELEMENTS_LEFT_OUT = {
+    "edge": "edges are not drawn", "material": "surfaces have the colours of their vertices or faces",
+    "multi_texture_vertex": "the surface has no texture", "multi_texture_face": "the surface has no texture",
+}  # fmt: skip
+"""Element -> what changes without it."""
+_WITHOUT_EFFECT = ("vertex", "face", "tristrips", "camera", "range_grid")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 POINT_CLOUD_ADVICE = (
@@ -65,6 +78,8 @@ class Ply:
     """Texture coordinates of the corners, (C, 2), v upwards, or None."""
     texture: str
     """Name of the texture file, empty = none."""
+    omissions: tuple[str, ...]
+    """What is left out, one line each, without the name of the file."""
 
     @property
     def positions(self) -> F64:
@@ -74,21 +89,17 @@ class Ply:
     @property
     def colors(self) -> NDArray[np.uint8] | None:
         """Vertex colours, (V, 3) uint8 sRGB, or None."""
-        names = next((n for n in (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-                      if all(k in self.vertex for k in n)), None)  # fmt: skip
-        if names is None:
-            return None
-        values = np.stack([np.asarray(self.vertex[k]) for k in names], axis=1)
-        if values.dtype.kind == "f":
-            values = np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0)
-        elif values.dtype.itemsize == 2:
-            values = values // 257
-        return np.asarray(np.clip(values, 0, 255), dtype=np.uint8)
+        return _colors(self.vertex)
 
     @property
-    def polygon_of_triangle(self) -> I64:
-        """Index of the polygon of each row of ``fan(sizes)``, (F,)."""
-        return np.repeat(np.arange(len(self.sizes)), np.maximum(self.sizes - 2, 0))
+    def corner_colors(self) -> NDArray[np.uint8] | None:
+        """Colours of the faces at their corners, (C, 3) uint8 sRGB; None if the faces have none, or the vertices have some."""
+        colors = _colors(self.face) if self.colors is None else None
+        return None if colors is None else np.repeat(colors, self.sizes, axis=0)
+
+    def triangulated(self) -> tuple[I64, I64]:
+        """Returns the triangles of the polygons, (F, 3) rows of ``corners``, and the polygon of each, (F,)."""
+        return triangulate(self.positions, self.corners, self.sizes)
 
 
 def load_ply(path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn) -> list[MeshPart]:
@@ -105,7 +116,9 @@ def load_ply(path: Path, data: bytes, textures: TextureStore, files: list[Path],
         MeshError: the file is corrupt, or a point cloud.
     """
     ply = read_ply(path, data)
-    part = ply_part(str(path), ply, fan(ply.sizes), _material(path, ply, textures, files, warn))
+    for line in ply.omissions:
+        warn(Omission(f"{path}: {line}", OmissionKind.UNSUPPORTED_ELEMENT))
+    part = ply_part(str(path), ply, ply.triangulated()[0], _material(path, ply, textures, files, warn))
     return [] if part is None else [part]
 
 
@@ -119,13 +132,24 @@ def ply_part(what: str, ply: Ply, corner_triangles: I64, material: Material | No
         material: the material; None = the vertex colours.
     """
     triangles = ply.corners[corner_triangles]
-    uvs, rows = _uvs(ply), None
-    if ply.corner_uvs is not None:
-        # A vertex on a texture seam has several texture coordinates.
+    uvs, rows, colors = _uvs(ply), None, ply.colors
+    corner_colors = ply.corner_colors
+    if ply.corner_uvs is not None or corner_colors is not None:
+        # A vertex on a seam has several texture coordinates or colours.
         used_corners = corner_triangles.ravel()
-        keys = np.rint(np.clip(np.nan_to_num(ply.corner_uvs[used_corners]), -1e6, 1e6) * 65536.0).astype(np.int64)
-        first, inverse = index_corners(ply.corners[used_corners], keys[:, 0], keys[:, 1])
-        rows, triangles, uvs = ply.corners[used_corners][first], inverse.reshape(-1, 3), ply.corner_uvs[used_corners][first]
+        columns = [ply.corners[used_corners]]
+        if ply.corner_uvs is not None:
+            keys = np.rint(np.clip(np.nan_to_num(ply.corner_uvs[used_corners]), -1e6, 1e6) * 65536.0).astype(np.int64)
+            columns += [keys[:, 0], keys[:, 1]]
+        if corner_colors is not None:
+            columns.append(corner_colors[used_corners].astype(np.int64) @ (65536, 256, 1))
+        first, inverse = index_corners(*columns)
+        rows, triangles = ply.corners[used_corners][first], inverse.reshape(-1, 3)
+        uvs = ply.corner_uvs[used_corners][first] if ply.corner_uvs is not None else None if uvs is None else uvs[rows]
+        if corner_colors is not None:
+            colors = corner_colors[used_corners][first]
+        elif colors is not None:
+            colors = colors[rows]
     if len(triangles) and (triangles.min() < 0 or (rows is None and triangles.max() >= len(ply.vertex["x"]))):
         raise MeshError(
             f"{what}: a face names a vertex that does not exist; there are {len(ply.vertex['x'])}; the file is broken"
@@ -134,7 +158,6 @@ def ply_part(what: str, ply: Ply, corner_triangles: I64, material: Material | No
     normals = None
     if all(k in ply.vertex for k in ("nx", "ny", "nz")):
         normals = np.stack([np.asarray(ply.vertex[k], dtype=np.float64) for k in ("nx", "ny", "nz")], axis=1)[selection]
-    colors = ply.colors
     if uvs is not None:
         uvs = np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1)
     part_material = material or Material("vertex colours", (1.0, 1.0, 1.0, 1.0), unlit=True)
@@ -146,7 +169,7 @@ def ply_part(what: str, ply: Ply, corner_triangles: I64, material: Material | No
         uvs,
         part_material,
         None,
-        None if colors is None else colors[selection],
+        colors,
     )
 
 
@@ -160,12 +183,16 @@ def read_ply(path: Path, data: bytes) -> Ply:
     Raises:
         MeshError: the file is corrupt, truncated, or a point cloud.
     """
-    tables, texture = _tables(path, data)
+    tables, texture_names = _tables(path, data)
     vertex = tables.get("vertex", {})
     if not all(axis in vertex for axis in "xyz"):
         raise MeshError(f"{path}: has no vertices with x, y and z; is it a mesh?")
     face = tables.get("face", {})
     lists = next((face[name] for name in _INDICES if name in face), None)
+    strips = next((tables["tristrips"][name] for name in _INDICES if name in tables.get("tristrips", {})), None)
+    uses_strips = strips is not None and (lists is None or not len(lists[1]))
+    if strips is not None and uses_strips:
+        face, lists = {}, _strips(*strips)
     if not len(vertex["x"]):
         raise MeshError(f"{path}: is empty: it has no vertices; export the mesh again")
     if lists is None or not len(lists[1]):
@@ -180,7 +207,44 @@ def read_ply(path: Path, data: bytes) -> Ply:
     if "texcoord" in face and np.array_equal(face["texcoord"][1], 2 * sizes):
         corner_uvs = np.asarray(face["texcoord"][0], dtype=np.float64).reshape(-1, 2)
     scalars = {name: values for name, values in face.items() if not isinstance(values, tuple)}
-    return Ply(vertex, corners, sizes, scalars, corner_uvs, texture)
+    omissions = _omissions(tables, len(texture_names), uses_strips)
+    return Ply(vertex, corners, sizes, scalars, corner_uvs, texture_names[0] if texture_names else "", omissions)
+
+
+def _strips(values: NDArray[Any], sizes: I64) -> tuple[I64, I64]:
+    """Returns the corners of the triangles of strips, (3 F,), and 3 for each; -1 ends a strip, and each second triangle is turned."""
+    breaks = np.cumsum(sizes)
+    corners = np.insert(np.asarray(values, dtype=np.int64), breaks, -1)
+    a, b, c = corners[:-2], corners[1:-1], corners[2:]
+    # Place of each triangle within its strip.
+    ends = np.flatnonzero(corners == -1)
+    start = np.where(corners[:-2] == -1, 0, np.concatenate([[-1], ends])[np.searchsorted(ends, np.arange(len(a)))] + 1)
+    turned = (np.arange(len(a)) - start) % 2 == 1
+    triangles = np.stack([a, np.where(turned, c, b), np.where(turned, b, c)], axis=1)[(a >= 0) & (b >= 0) & (c >= 0)]
+    return triangles.ravel(), np.full(len(triangles), 3, dtype=np.int64)
+
+
+def _omissions(tables: Mapping[str, Mapping[str, Any]], textures: int, uses_strips: bool) -> tuple[str, ...]:
+    """Returns what is left out of a file with ``textures`` names of textures, one line each."""
+    vertex, face = tables["vertex"], tables.get("face", {})
+    found = [
+        f"element {quoted(name)} is left out; {_ELEMENTS_LEFT_OUT.get(name, 'it has no meaning for a surface')}"
+        for name in tables
+        if name not in _WITHOUT_EFFECT
+    ]
+    alphas = [table[name] for table in (vertex, face) for name in _ALPHA_NAMES if name in table]
+    # 255 as a whole number and 1 as a fraction are opaque.
+    if any(
+        not isinstance(a, tuple) and len(a) and a.min() < (1.0 if a.dtype.kind == "f" else np.iinfo(a.dtype).max) for a in alphas
+    ):
+        found.append("the opacity of its colours is left out; the surface is opaque")
+    if _colors(vertex) is not None and _colors(face) is not None:
+        found.append("the colours of its faces are left out; those of its vertices are used")
+    if "tristrips" in tables and not uses_strips:
+        found.append("its triangle strips are left out, since it has faces too")
+    if textures > 1:
+        found.append(f"names {textures} textures; the first is used for all faces")
+    return tuple(found)
 
 
 def read_ply_tables(path: Path, data: bytes) -> dict[str, dict[str, Any]]:
@@ -196,9 +260,9 @@ def read_ply_tables(path: Path, data: bytes) -> dict[str, dict[str, Any]]:
     return _tables(path, data)[0]
 
 
-def _tables(path: Path, data: bytes) -> tuple[dict[str, dict[str, Any]], str]:
-    """Returns the columns as ``read_ply_tables``, and the name of the texture."""
-    binary, elements, texture, at = _header(path, data)
+def _tables(path: Path, data: bytes) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """Returns the columns as ``read_ply_tables``, and the names of the textures."""
+    binary, elements, textures, at = _header(path, data)
     tables: dict[str, dict[str, Any]] = {}
     words = None if binary else data[at:].split()
     position = 0
@@ -207,7 +271,7 @@ def _tables(path: Path, data: bytes) -> tuple[dict[str, dict[str, Any]], str]:
             tables[element.name], at = _binary_table(path, element, data, at, binary)
         else:
             tables[element.name], position = _text_table(path, element, words, position)
-    return tables, texture
+    return tables, textures
 
 
 def _material(path: Path, ply: Ply, textures: TextureStore, files: list[Path], warn: Warn) -> Material | None:
@@ -215,7 +279,20 @@ def _material(path: Path, ply: Ply, textures: TextureStore, files: list[Path], w
         texture = textures.from_uri(ply.texture, path, files, warn)
         if texture is not None or not textures.decode:
             return Material("texture", (1.0, 1.0, 1.0, 1.0), texture, unlit=True)
-    return None if ply.colors is not None else Material()
+    return None if ply.colors is not None or ply.corner_colors is not None else Material()
+
+
+def _colors(columns: Mapping[str, Any]) -> NDArray[np.uint8] | None:
+    """Returns the colours in the columns of vertices or faces, (N, 3) uint8 sRGB, or None."""
+    names = next((n for n in _COLOR_NAMES if all(isinstance(columns.get(k), np.ndarray) for k in n)), None)
+    if names is None:
+        return None
+    values = np.stack([np.asarray(columns[k]) for k in names], axis=1)
+    if values.dtype.kind == "f":
+        values = np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0)
+    elif values.dtype.itemsize == 2:
+        values = values // 257
+    return np.asarray(np.clip(values, 0, 255), dtype=np.uint8)
 
 
 def _uvs(ply: Ply) -> F64 | None:
@@ -223,8 +300,8 @@ def _uvs(ply: Ply) -> F64 | None:
     return None if names is None else np.stack([np.asarray(ply.vertex[k], dtype=np.float64) for k in names], axis=1)
 
 
-def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
-    """Returns the byte order ("" = text), the elements, the name of the texture, and the offset of the data, bytes."""
+def _header(path: Path, data: bytes) -> tuple[str, list[_Element], list[str], int]:
+    """Returns the byte order ("" = text), the elements, the names of the textures, and the offset of the data, bytes."""
     if not data.startswith(b"ply"):
         raise MeshError(
             f"{path}: is not a PLY file (it begins with {quoted(data[:8].decode('ascii', 'replace'))}, must begin with 'ply')"
@@ -235,20 +312,20 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
         raise MeshError(f"{path}: the header of the PLY has no end_header; the file is cut or broken")
     order: str | None = None
     elements: list[_Element] = []
-    texture = ""
+    textures: list[str] = []
     for line in data[:end].decode("ascii", errors="replace").splitlines():
         words = line.split()
         if words[:1] == ["format"] and len(words) > 1:
             order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1])
         elif words[:2] == ["comment", "TextureFile"]:
-            texture = line.split("TextureFile", 1)[1].strip()
+            textures.append(line.split("TextureFile", 1)[1].strip())
         elif words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
             elements.append(_Element(words[1], int(words[2]), ()))
         elif words[:1] == ["property"] and elements:
             elements[-1] = _with_property(path, elements[-1], words[1:])
     if order is None:
         raise MeshError(f"{path}: the format in the header is unknown; known: ascii, binary_little_endian, binary_big_endian")
-    return order, elements, texture, line_end + 1
+    return order, elements, textures, line_end + 1
 
 
 def _with_property(path: Path, element: _Element, words: list[str]) -> _Element:

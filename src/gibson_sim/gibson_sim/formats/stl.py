@@ -1,4 +1,7 @@
-"""Reads STL, binary and ASCII. The format has no units and no materials: metres, z up and light grey are assumed."""
+"""Reads STL, binary and ASCII. The format has no units and no materials: metres, z up and light grey are assumed.
+
+trimesh (5.2) is not used: it reads a text file that is cut as an empty mesh, and leaves out colours without a word.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +10,28 @@ from pathlib import Path
 
 import numpy as np
 
+from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.mesh import F64, Material, MeshPart, build_part, unit
+from gibson_sim.formats.textures import Warn
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
+_LOOP = re.compile(rb"outer\s+loop(.*?)endloop", re.IGNORECASE | re.DOTALL)
 
 
-def load_stl(path: Path, data: bytes) -> list[MeshPart]:
-    """Returns the triangles of an STL file with flat normals, as one part, metres.
+def load_stl(path: Path, data: bytes, warn: Warn) -> list[MeshPart]:
+    """Returns the triangles of an STL file as one part, metres, with flat normals by the order of their corners.
 
     Args:
         path: the file, for messages.
         data: its bytes.
+        warn: called with one line for each element that is left out.
 
     Raises:
         MeshError: the file is corrupt.
     """
-    corners = _corners(path, data)
+    corners = _corners(path, data, warn)
     edges = corners[:, 1:] - corners[:, :1]
     with np.errstate(invalid="ignore"):
         normals = np.repeat(unit(np.cross(edges[:, 0], edges[:, 1])), 3, axis=0)
@@ -33,23 +40,40 @@ def load_stl(path: Path, data: bytes) -> list[MeshPart]:
     return [] if part is None else [part]
 
 
-def _corners(path: Path, data: bytes) -> F64:
+def _corners(path: Path, data: bytes, warn: Warn) -> F64:
     """Returns the corners of all triangles, (F, 3, 3) float64."""
+    starts_solid = data.lstrip()[:5].lower() == b"solid"
     if len(data) >= 84:
         count = int.from_bytes(data[80:84], "little")
-        if len(data) == 84 + 50 * count:
-            return np.frombuffer(data, dtype=_FACET, count=count, offset=84)["corners"].astype(np.float64)
-        if not data.lstrip().startswith(b"solid"):
+        size = 84 + 50 * count
+        # The header of a binary file may begin with "solid" too: only its size tells.
+        if len(data) == size or (len(data) > size and count and not starts_solid):
+            facets = np.frombuffer(data, dtype=_FACET, count=count, offset=84)
+            if len(data) > size:
+                warn(f"{path}: the {len(data) - size} bytes after its {count} triangles are left out")
+            if facets["attribute"].any() or b"COLOR=" in data[:80]:
+                text = f"{path}: the colours of its triangles are left out; the surface is light grey"
+                warn(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
+            return facets["corners"].astype(np.float64)
+        if not starts_solid:
             raise MeshError(
-                f"{path}: an STL of {count} triangles has {84 + 50 * count} bytes, this file has {len(data)}; it is cut or broken"
+                f"{path}: an STL of {count} triangles has {size} bytes, this file has {len(data)}; it is cut or broken"
             )
-    if not data.lstrip().startswith(b"solid"):
+    if not starts_solid:
         raise MeshError(f"{path}: is not an STL file")
-    words = [word for match in _VERTEX.findall(data) for word in match]
+    return _ascii_corners(path, data)
+
+
+def _ascii_corners(path: Path, data: bytes) -> F64:
+    corners = _VERTEX.findall(data)
+    loops = [len(_VERTEX.findall(loop)) for loop in _LOOP.findall(data)]
+    if any(count != 3 for count in loops) or 3 * len(loops) != len(corners):
+        wrong = next(
+            (f"has a facet of {count} corners" for count in loops if count != 3),
+            f"has {len(corners)} corners in {len(loops)} facets",
+        )
+        raise MeshError(f"{path}: {wrong}, must have 3 each; the STL is cut or broken")
     try:
-        numbers = np.array([float(word) for word in words])
+        return np.array([float(word) for corner in corners for word in corner]).reshape(-1, 3, 3)
     except ValueError as e:
         raise MeshError(f"{path}: {e}; the STL is broken") from e
-    if len(numbers) % 9:
-        raise MeshError(f"{path}: has {len(numbers) // 3} corners, must be a multiple of 3; the STL is cut")
-    return numbers.reshape(-1, 3, 3)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import io
 import os
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -204,6 +206,11 @@ def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
 
 def decode_image(data: bytes) -> NDArray[np.uint8] | None:
     """Returns the pixels of an encoded image, (H, W, 3) RGB or (H, W, 4) RGBA uint8, or None if it cannot be decoded."""
+    size = image_size(data)
+    if size is not None and size.kind and size.pixels <= MAX_PIXELS:
+        image = _decode_by_pillow(data, size.kind)
+        if image is not None:
+            return image
     image = decode_pixels(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         return None
@@ -217,3 +224,20 @@ def decode_image(data: bytes) -> NDArray[np.uint8] | None:
         return np.concatenate([np.repeat(image[:, :, :1], 3, axis=2), image[:, :, 1:]], axis=2)
     code = cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
     return np.asarray(cv2.cvtColor(image, code), dtype=np.uint8)
+
+
+def _decode_by_pillow(data: bytes, kind: str) -> NDArray[np.uint8] | None:
+    """Returns the pixels of an image of a kind that OpenCV cannot decode, or not its alpha: (H, W, 3) RGB or (H, W, 4) RGBA uint8.
+
+    None if Pillow cannot decode it either, or not to 8 bits.
+    """
+    # Here, since few scenes have such an image and Pillow takes as long to import as a small scene to load.
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(data), formats=[kind]) as image:
+            if image.mode in ("F", "I", "I;16", "I;16B"):
+                return None
+            return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
+    except (OSError, ValueError, SyntaxError, IndexError, struct.error, Image.DecompressionBombError):
+        return None

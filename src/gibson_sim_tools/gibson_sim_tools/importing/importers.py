@@ -13,7 +13,7 @@ from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.load_mesh import MeshLoader
-from gibson_sim.formats.mesh import TO_Z_UP, Mesh, UpAxis, fan
+from gibson_sim.formats.mesh import TO_Z_UP, Mesh, UpAxis
 from gibson_sim.formats.ply import ply_part, read_ply
 from gibson_sim.geometry.transforms import matrix_from_pose, quat_from_matrix
 from gibson_sim.scenes.load import read_scene
@@ -163,10 +163,11 @@ def _replica(source: Source, options: ImportOptions) -> ImportedScene:
     ids = next((ply.face[name] for name in _OBJECT_ID if name in ply.face), None)
     if ids is None or len(np.unique(ids)) > _MAX_OBJECTS:
         raise SceneError(f"{labelled}: its faces have no object_id; use --no-semantics to import only mesh.ply")
-    part = ply_part(str(labelled), ply, fan(ply.sizes))
+    triangles, polygon = ply.triangulated()
+    part = ply_part(str(labelled), ply, triangles)
     if part is None:
         raise SceneError(f"{labelled}: has no triangles")
-    objects = np.asarray(ids, dtype=np.int64)[ply.polygon_of_triangle]
+    objects = np.asarray(ids, dtype=np.int64)[polygon]
     scene.objects = split_objects(Mesh((part,)), [objects], replica_classes(classes))
     return scene
 
@@ -200,9 +201,9 @@ def _habitat(source: Source, options: ImportOptions) -> ImportedScene:
         ids = next((ply.face[name] for name in _OBJECT_ID if name in ply.face), None)
         if ids is None:
             raise SceneError(f"{labelled}: its faces have no object_id; use --no-semantics to import only {source.file.name}")
-        triangles = ply.corners[fan(ply.sizes)]
-        objects = np.asarray(ids, dtype=np.int64)[ply.polygon_of_triangle]
-        faces, classes = LabelledFaces(ply.positions[triangles].mean(axis=1), objects), habitat_classes(lists)
+        triangles, polygon = ply.triangulated()
+        objects = np.asarray(ids, dtype=np.int64)[polygon]
+        faces, classes = LabelledFaces(ply.positions[ply.corners[triangles]].mean(axis=1), objects), habitat_classes(lists)
     scene.objects = split_objects(mesh, transfer_labels(mesh, faces), classes)
     return scene
 

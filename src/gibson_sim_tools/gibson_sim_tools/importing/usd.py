@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import EnvironmentProblemError, MeshError, SceneError
 from gibson_sim.formats.file_roots import is_inside
-from gibson_sim.formats.mesh import TO_Z_UP, Material, Mesh, MeshPart, UpAxis, build_part, fan, index_corners
+from gibson_sim.formats.mesh import TO_Z_UP, Material, Mesh, MeshPart, UpAxis, build_part, index_corners
+from gibson_sim.formats.polygons import triangulate
 from gibson_sim.formats.textures import TextureStore
 from gibson_sim.geometry.colours import srgb8_from_linear, srgb_from_linear
 from gibson_sim_tools.importing.document import ImportedObject
@@ -112,10 +113,9 @@ class _Stage:
         matrix = self._to_world @ np.asarray(self._xforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         uvs = self._primvar(prim, ("st", "UVMap", "st0", "map1"), corners, sizes, 2)
         colors = self._primvar(prim, ("displayColor",), corners, sizes, 3)
-        triangles = fan(sizes)
+        triangles, polygon = triangulate(points, corners, sizes)
         if str(mesh.GetOrientationAttr().Get()) == "leftHanded":
             triangles = triangles[:, ::-1]
-        polygon = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
         bound = np.zeros(len(sizes), dtype=np.int64)
         materials = [UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]]
         for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
