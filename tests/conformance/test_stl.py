@@ -73,6 +73,11 @@ def test_colours_are_named(tmp_path: Path, options: dict[str, object]) -> None:
     assert "colours of its triangles are left out" in warning
 
 
+@rule(FORMAT, "binary: other attributes", "done", "no colours without the highest bit; their meaning is their program's")
+def test_attributes_without_the_mark_are_no_colours(tmp_path: Path) -> None:
+    assert corners(_part(tmp_path, _binary(attribute=0x5EF7))) == [TRIANGLE]
+
+
 @rule(FORMAT, "binary: bytes after the last triangle", "left out", "the number in the header counts")
 def test_bytes_at_the_end_are_named(tmp_path: Path) -> None:
     mesh = _load(tmp_path, _binary(rest=b"made by"))

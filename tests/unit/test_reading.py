@@ -121,6 +121,10 @@ def test_texts_of_the_outermost_mapping_are_read_without_the_rest(text: bytes, f
     assert yaml_texts(text, ("name", "description")) == found
 
 
+def test_white_space_before_the_xml_declaration_is_allowed_as_in_gazebo_and_ros() -> None:
+    assert parse_xml(b'\n\n  <?xml version="1.0"?>\n<sdf/>').tag == "sdf"
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

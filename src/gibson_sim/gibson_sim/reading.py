@@ -252,7 +252,8 @@ def parse_xml(text: bytes) -> ElementTree.Element:
             reason = f"defines XML {what}, which are not supported; write out their values"
             raise TextError(reason).with_public(reason)
     try:
-        top = ElementTree.fromstring(text)
+        # Gazebo and ROS (tinyxml2) allow white space before the XML declaration, and files have it.
+        top = ElementTree.fromstring(text.lstrip(b" \t\r\n"))
     # ValueError, LookupError: wrong or unknown declared encoding.
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise TextError(f"is not well-formed XML: {clipped(str(error), _LONGEST_REASON)}").with_public(

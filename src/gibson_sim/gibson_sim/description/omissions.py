@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import Enum, auto
 
 
@@ -32,6 +33,25 @@ class Omission(str):
         line = super().__new__(cls, text)
         line.kind = kind
         return line
+
+
+def grouped(lines: Iterable[str]) -> list[str]:
+    """Returns warnings of which those that differ only in the file before ``: `` are one line, which counts the other files.
+
+    ``a.dae: lines are not drawn`` and the same of two further files become ``a.dae and 2 more: lines are not drawn``, at the first place.
+    """
+    files: dict[str, list[str]] = {}
+    for line in lines:
+        file, colon, text = line.partition(": ")
+        # Without a file, or with a value beside the name, a line stands alone.
+        key = text if colon and " " not in file and "." in file else line
+        files.setdefault(key, []).append(file if key == text and colon else "")
+    found = []
+    for text, names in files.items():
+        others = len(set(names)) - 1
+        first = f"{names[0]}: " if names[0] and others == 0 else f"{names[0]} and {others} more: " if names[0] else ""
+        found.append(first + text)
+    return found
 
 
 def kind_of(text: str) -> OmissionKind:

@@ -51,7 +51,8 @@ def _corners(path: Path, data: bytes, warn: Warn) -> F64:
             facets = np.frombuffer(data, dtype=_FACET, count=count, offset=84)
             if len(data) > size:
                 warn(f"{path}: the {len(data) - size} bytes after its {count} triangles are left out")
-            if facets["attribute"].any() or b"COLOR=" in data[:80]:
+            # VisCAM marks a colour by the highest bit, Magics by the header; other values are of no meaning outside of their program.
+            if (facets["attribute"] & 0x8000).any() or b"COLOR=" in data[:80]:
                 text = f"{path}: the colours of its triangles are left out; the surface is light grey"
                 warn(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
             return facets["corners"].astype(np.float64)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gibson_sim.description.omissions import grouped
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.formats.uris import ancestors
@@ -79,7 +80,7 @@ def finish(builder: SceneBuilder) -> SceneSpec:
         SceneError: the scene is empty.
     """
     scene = builder.finish()
-    for warning in scene.warnings:
+    for warning in grouped(scene.warnings):
         _log.warning("scene %s: %s", scene.name, warning)
     _log.info("scene %s: %d visual, %d collision shapes", scene.name, len(scene.visuals), len(scene.collisions))
     return scene
