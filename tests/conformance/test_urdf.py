@@ -233,12 +233,21 @@ def test_a_vector_has_three_numbers(value: str) -> None:
     assert text.endswith(f'<origin xyz="{value}">, must be 3 finite numbers')
 
 
-@rule("URDF", "<box size>, <sphere radius>, <cylinder radius length>", "done", "sizes are whole lengths; cylinders lie along z")
+@rule(
+    "URDF",
+    "<box size>, <sphere radius>, <cylinder radius length>, <capsule radius length>",
+    "done",
+    "sizes are whole lengths; cylinders and capsules lie along z; the length of a capsule is that between its half spheres",
+)
 def test_shapes_have_their_sizes() -> None:
-    texts = ('<box size="1 2 3"/>', '<sphere radius="4"/>', '<cylinder radius="5" length="6"/>')
+    texts = (
+        '<box size="1 2 3"/>', '<sphere radius="4"/>', '<cylinder radius="5" length="6"/>', '<capsule radius="7" length="8"/>',
+    )  # fmt: skip
     found = link("".join(f"<visual><geometry>{text}</geometry></visual>" for text in texts))
     shapes = [(v.shape.kind, v.shape.size) for v in found.visuals]
-    assert shapes == [("box", (1.0, 2.0, 3.0)), ("sphere", (4.0, 0.0, 0.0)), ("cylinder", (5.0, 6.0, 0.0))]
+    assert shapes == [
+        ("box", (1.0, 2.0, 3.0)), ("sphere", (4.0, 0.0, 0.0)), ("cylinder", (5.0, 6.0, 0.0)), ("capsule", (7.0, 8.0, 0.0)),
+    ]  # fmt: skip
 
 
 @rule("URDF", "a size of 0 or below", "refused")

@@ -83,6 +83,47 @@ def test_omni_goes_one_metre_sideways(bot: Callable[[str], RobotSpec], make_scen
         assert believed(world) == pytest.approx((0.0, 1.0, 0.0), abs=0.005)
 
 
+@pytest.fixture
+def planar_bot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RobotSpec:
+    """A box of 10 kg on a plate with two wheels, which Gazebo's plugin moves in all directions."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    inertial = '<inertial><origin xyz="0 0 0.1"/><mass value="10"/><inertia ixx="0.2" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.3"/></inertial>'
+    box = '<collision><origin xyz="0 0 0.1"/><geometry><box size="0.4 0.3 0.2"/></geometry></collision>'
+    ball = '<collision><geometry><sphere radius="0.05"/></geometry></collision><inertial><mass value="0.5"/>{}</inertial>'.format(
+        '<inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/>'
+    )
+    wheels = "".join(
+        f'<link name="{side}">{ball}</link><joint name="{side}_joint" type="continuous"><parent link="base_link"/><child link="{side}"/>'
+        f'<origin xyz="0 {y} 0.05"/><axis xyz="0 1 0"/></joint>'
+        for side, y in (("left", 0.2), ("right", -0.2))
+    )
+    plugin = '<gazebo><plugin filename="libgazebo_ros_planar_move.so" name="move"/></gazebo>'
+    (tmp_path / "bot.urdf").write_text(f'<robot name="bot"><link name="base_link">{inertial}{box}</link>{wheels}{plugin}</robot>')
+    return load_robot(tmp_path / "bot.urdf")
+
+
+@pytest.mark.parametrize("command", [(0.25, 0.0, 0.0), (0.0, -0.25, 0.0), (0.2, 0.1, 0.0), (0.0, 0.0, 0.5)])
+def test_a_base_that_is_moved_goes_where_it_is_told(
+    planar_bot: RobotSpec, make_scene: MakeScene, command: tuple[float, float, float]
+) -> None:
+    assert planar_bot.drive is not None and planar_bot.drive.kind == "planar"
+    with PhysicsWorld(make_scene(planar_bot)) as world:
+        send(world, 2.0, *command)
+        send(world, 1.0)
+        assert place(world) == pytest.approx([2.0 * value for value in command], abs=0.01)
+        assert believed(world) == pytest.approx(place(world), abs=1e-4)
+
+
+def test_a_base_that_is_moved_drives_an_arc_stops_at_a_wall_and_knows_it(planar_bot: RobotSpec, make_scene: MakeScene) -> None:
+    with PhysicsWorld(make_scene(planar_bot)) as world:
+        send(world, 4.0, 0.2, 0.1, 0.4)
+        assert believed(world) == pytest.approx(place(world), abs=1e-3)
+    with PhysicsWorld(make_scene(planar_bot, collisions=(WALL,))) as world:
+        send(world, 6.0, 0.4)
+        assert place(world)[0] == pytest.approx(0.8, abs=0.01), "its front is 0.2 m ahead"
+        assert believed(world) == pytest.approx(place(world), abs=1e-3)
+
+
 def test_omni_turns_about_a_point_that_it_looks_at(bot: Callable[[str], RobotSpec], make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene(bot("omni_bot"))) as world:
         # To the right at 0.4 m/s, to the left at 0.4 rad/s: a circle about the point 1 m ahead.

@@ -400,7 +400,7 @@ class Simulation:
         velocity = VelocityCommand((linear, lateral, 0.0), (0.0, 0.0, angular), self.world.stamp_ns)
         drive = self.robots[name].spec.drive
         # Over ROS, `linear.y` of a Twist is ignored instead, since teleoperation nodes send the same message to all kinds of robots.
-        if lateral and drive is not None and drive.kind != "omni":
+        if lateral and drive is not None and drive.kind not in ("omni", "planar"):
             raise CommandError(
                 f"robot {quoted(name)} has a drive of type {drive.kind}, which cannot move sideways: lateral is {lateral:g} m/s, must be 0"
             )

@@ -56,6 +56,10 @@ def caster(name: str, xyz: str) -> str:
     return f'<link name="{name}_fork"/>' + joint(f"{name}_fork", "base_link", xyz, "0 0 1") + wheel(name, "0 0 0", f"{name}_fork")
 
 
+def gazebo(plugin: str, inner: str) -> str:
+    return f'<gazebo><plugin filename="{plugin}" name="p">{inner}</plugin></gazebo>'
+
+
 def written(folder: Path, inner: str, root: str = BODY.format("base_link", 0.1)) -> Path:
     # A wheel of 24 corners about y.
     corners = [
@@ -108,6 +112,131 @@ def test_four_wheels_called_mecanum_go_sideways(tmp_path: Path) -> None:
         "front_left_mecanum_joint": -45, "front_right_mecanum_joint": 45,
         "rear_left_mecanum_joint": 45, "rear_right_mecanum_joint": -45,
     }  # fmt: skip
+
+
+def guess_of_drive(path: Path) -> str:
+    """Returns the line about the kind of drive."""
+    return str(next(guess for guess in derive_file(path, mesh_points()).guesses if guess.key == "drive"))
+
+
+MECANUM = {"rear_left": 45, "rear_right": -45, "front_left": -45, "front_right": 45}
+
+
+def mecanum_angles(path: Path) -> dict[str, int]:
+    drive = load_robot(path).drive
+    assert drive is not None and drive.kind == "omni"
+    return {w.joint.removesuffix("_wheel_joint"): round(math.degrees(w.roller)) for w in drive.wheels}  # type: ignore[union-attr]
+
+
+FOUR_JOINTS = "".join(f"<{corner}_joint>{corner}_wheel_joint</{corner}_joint>" for corner in MECANUM)
+
+
+@pytest.mark.parametrize(
+    ("inner", "sign"),
+    [
+        (gazebo("libgazebo_ros_planar_move.so", ""), "Gazebo's plugin libgazebo_ros_planar_move.so"),
+        (gazebo("gz-sim-mecanum-drive-system", FOUR_JOINTS), "Gazebo's plugin gz-sim-mecanum-drive-system"),
+        (
+            '<link name="mecanum_base"/>' + joint("mecanum_base", "base_link", "0 0 0", kind="fixed"),
+            "the name of link 'mecanum_base'",
+        ),
+    ],
+)
+def test_four_wheels_are_mecanum_wheels_if_something_says_so_and_the_line_says_what(
+    tmp_path: Path, inner: str, sign: str
+) -> None:
+    path = written(tmp_path, pair(0.1) + pair(-0.1) + inner)
+    assert mecanum_angles(path) == MECANUM
+    assert guess_of_drive(path).endswith(f"(mecanum: {sign})")
+
+
+def test_four_wheels_of_which_nothing_says_that_they_are_mecanum_are_a_skid_steer_and_the_line_says_why(tmp_path: Path) -> None:
+    line = guess_of_drive(written(tmp_path, pair(0.1) + pair(-0.1)))
+    assert line.endswith("(they do not steer, and nothing says that they are mecanum)")
+
+
+def test_four_wheels_of_which_those_across_the_corners_look_alike_are_mecanum_wheels(tmp_path: Path) -> None:
+    """Mecanum wheels come in two hands; wheels of a skid steer differ at most by their side."""
+    path = written(tmp_path, "")
+    for name in ("a.obj", "b.obj"):
+        (tmp_path / name).write_text((tmp_path / "wheel.obj").read_text())
+    look = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
+    for hands, is_mecanum in (("abba", True), ("abab", False), ("aabb", False), ("aaaa", False)):
+        inner = "".join(
+            wheel(f"{corner}_wheel", f"{x} {y} 0").replace("</link>", look.format(f"{hand}.obj") + "</link>")
+            for hand, (corner, x, y) in zip(
+                hands, [("front_left", 0.1, 0.2), ("front_right", 0.1, -0.2), ("rear_left", -0.1, 0.2), ("rear_right", -0.1, -0.2)],
+                strict=True,
+            )
+        )  # fmt: skip
+        path.write_text(f'<robot name="bot">{BODY.format("base_link", 0.1)}{inner}</robot>')
+        drive = load_robot(path).drive
+        assert drive is not None and (drive.kind == "omni") == is_mecanum, hands
+
+
+def rollers(wheel_name: str, degrees: float, count: int = 8) -> str:
+    """Returns rollers about a wheel at the origin of its link, which turns about y; that on the floor is ``degrees`` from x."""
+    text, angle = "", math.radians(degrees)
+    for i in range(count):
+        around = 2 * math.pi * i / count
+        name = f"{wheel_name}_roller_{i}"
+        # The roller at the bottom, turned about y.
+        xyz = f"{-0.07 * math.sin(around)} 0 {-0.07 * math.cos(around)}"
+        axis = f"{math.cos(angle) * math.cos(around)} {math.sin(angle)} {-math.cos(angle) * math.sin(around)}"
+        ball = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+        text += f'<link name="{name}">{ball}</link>' + joint(name, wheel_name, xyz, axis)
+    return text
+
+
+def test_rollers_with_joints_make_mecanum_wheels_of_their_angle(tmp_path: Path) -> None:
+    bare = '<link name="{}"/>'
+    inner = ""
+    for corner, angle in MECANUM.items():
+        x, y = (-0.2 if "rear" in corner else 0.2), (0.2 if "left" in corner else -0.2)
+        name = f"{corner}_wheel"
+        inner += bare.format(name) + joint(name, "base_link", f"{x} {y} 0") + rollers(name, angle * 2 / 3)
+    path = written(tmp_path, inner)
+    assert mecanum_angles(path) == {corner: angle * 2 // 3 for corner, angle in MECANUM.items()}
+    assert guess_of_drive(path).endswith("(mecanum: their rollers have joints)")
+    assert load_robot(path).drive.wheel_radius == pytest.approx(0.08)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("start", [0, 60, 90])
+def test_three_wheels_around_the_middle_move_in_all_directions(tmp_path: Path, start: int) -> None:
+    inner = ""
+    for i in range(3):
+        a = math.radians(start + 120 * i)
+        name, frame = f"w{i}", f'{0.2 * math.cos(a)} {0.2 * math.sin(a)} 0" rpy="0 0 {a - math.pi / 2}'
+        inner += wheel(name, frame, axis="0 1 0")
+    path = written(tmp_path, inner)
+    drive = load_robot(path).drive
+    assert drive is not None and drive.kind == "omni"
+    assert [w.roller for w in drive.wheels] == [0.0, 0.0, 0.0]  # type: ignore[union-attr]
+    assert guess_of_drive(path).endswith("(their axes point in different directions)")
+
+
+def test_wheels_with_a_wrong_axis_are_no_omni_wheels(tmp_path: Path) -> None:
+    """Axes of omni wheels go through the middle; two wheels that were given the axis x roll away from it."""
+    inner = (
+        wheel("left_wheel", "0 0.2 0", axis="1 0 0") + wheel("right_wheel", "0 -0.2 0", axis="1 0 0") + wheel("tail", "-0.2 0 0")
+    )
+    with pytest.raises(RobotError, match=r"no wheels|x axis|axis of"):
+        derive_file(written(tmp_path, inner))
+
+
+@pytest.mark.parametrize("plugin", ["libgazebo_ros_planar_move.so", "gz-sim-velocity-control-system"])
+@pytest.mark.parametrize("needs_drive", [True, False])
+def test_a_base_that_a_plugin_moves_is_no_arm(tmp_path: Path, plugin: str, needs_drive: bool) -> None:
+    derived = derive_file(written(tmp_path, gazebo(plugin, "")), needs_drive=needs_drive)
+    assert derived.values["drive"] == {"type": "planar"}
+    assert "fixed_base" not in derived.values
+    assert derived.values["base_height"] == -0.05, "the box is above the root, and slides on the floor"
+    assert str(derived.guesses[0]).endswith(f"planar, the base moves in all directions by itself (Gazebo's plugin {plugin})")
+
+
+def test_two_wheels_of_a_base_that_a_plugin_moves_slide_along(tmp_path: Path) -> None:
+    derived = derive_file(written(tmp_path, pair(0.1) + gazebo("libgazebo_ros_planar_move.so", "")))
+    assert derived.values["drive"] == {"type": "planar", "free_wheels": ["front_left_wheel_joint", "front_right_wheel_joint"]}
 
 
 def test_casters_do_not_drive(tmp_path: Path) -> None:
@@ -247,10 +376,6 @@ def test_a_fixed_base_and_a_drive_exclude_each_other(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(f"urdf: bot.urdf\nfixed_base: true\ndrive: {drive}\n")
     with pytest.raises(RobotError, match="fixed_base is true and there is a drive"):
         load_robot(tmp_path / "robot.yaml")
-
-
-def gazebo(plugin: str, inner: str) -> str:
-    return f'<gazebo><plugin filename="{plugin}" name="p">{inner}</plugin></gazebo>'
 
 
 def test_the_plugin_of_gazebo_tells_wheels_from_others(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from gibson_sim.quoting import clipped, quoted
 from gibson_sim.types import Vec3
 
 SensorKind = Literal["camera", "depth_camera", "lidar", "imu"]
-DriveHint = Literal["differential", "omni"]
+DriveHint = Literal["differential", "omni", "planar"]
 
 _SENSORS: dict[str, SensorKind] = {
     "camera": "camera", "wideanglecamera": "camera", "multicamera": "camera",
@@ -26,8 +26,11 @@ _SENSORS: dict[str, SensorKind] = {
 _MOST_FRICTION = 1.5
 """Maximum friction; larger values are clamped: wheels often have 100 or more."""
 _FRICTIONS = ("mu1", "mu2")
-_DRIVE_PLUGINS: dict[str, DriveHint] = {"diff_drive": "differential", "skid_steer": "differential", "mecanum": "omni"}
-"""Part of the name of a wheeled drive plugin, with ``_`` for ``-`` -> drive."""
+_DRIVE_PLUGINS: dict[str, DriveHint] = {
+    "diff_drive": "differential", "skid_steer": "differential", "mecanum": "omni",
+    "planar_move": "planar", "sim_velocity_control": "planar", "gazebo_velocity_control": "planar", "::velocitycontrol": "planar",
+}  # fmt: skip
+"""Part of the file name or name of a drive plugin, with ``_`` for ``-`` -> drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +65,13 @@ class GazeboSensor:
 
 @dataclass(frozen=True, slots=True)
 class GazeboDrive:
-    """A wheeled drive plugin."""
+    """A drive plugin, which turns wheels, or (planar) moves the base itself."""
 
     kind: DriveHint
     plugin: str
     """File name of the plugin."""
     joints: tuple[str, ...]
-    """Names of the wheel joints."""
+    """Names of the wheel joints; planar: may be none."""
     wheel_radius: float = 0.0
     """Wheel radius, metres; 0 = not given."""
 
@@ -161,15 +164,15 @@ def _sensor(element: ET.Element, link: str) -> GazeboSensor | None:
 
 
 def _drive(plugin: ET.Element, joints: set[str]) -> GazeboDrive | None:
-    name = plugin.get("filename", "") or plugin.get("name", "")
-    normalised = name.lower().replace("-", "_")
-    kind = next((kind for part, kind in _DRIVE_PLUGINS.items() if part in normalised), None)
+    names = [plugin.get(key, "") for key in ("filename", "name")]
+    found = ((kind, name) for name in names for part, kind in _DRIVE_PLUGINS.items() if part in name.lower().replace("-", "_"))
+    kind, name = next(found, (None, ""))
     if kind is None:
         return None
     values = {item.tag.lower().replace("_", ""): (item.text or "").strip() for item in plugin}
     joint_names = [(item.text or "").strip() for item in plugin if item.tag.lower().replace("_", "").endswith("joint")]
     wheels = tuple(dict.fromkeys(joint for joint in joint_names if joint in joints))
-    if len(wheels) < 2:
+    if len(wheels) < 2 and kind != "planar":
         return None
     diameter, radius = _value(values.get("wheeldiameter")), _value(values.get("wheelradius"))
     return GazeboDrive(kind, name, wheels, max(radius or (diameter or 0.0) / 2, 0.0))

@@ -293,10 +293,10 @@ class _Reader:
         if item.tag == "sphere":
             (radius,) = self.positive(self.numbers(item, "radius", 1, where), where)
             return Shape("sphere", (radius, 0.0, 0.0))
-        if item.tag == "cylinder":
+        if item.tag in ("cylinder", "capsule"):
             sizes = (*self.numbers(item, "radius", 1, where), *self.numbers(item, "length", 1, where))
             radius, length = self.positive(sizes, where)
-            return Shape("cylinder", (radius, length, 0.0))
+            return Shape("cylinder" if item.tag == "cylinder" else "capsule", (radius, length, 0.0))
         if item.tag == "mesh":
             scale = self.vector(item, "scale", where) if "scale" in item.attrib else (1.0, 1.0, 1.0)
             if 0.0 in scale:

@@ -52,7 +52,7 @@ class DriveInWorld:
         """Angles of the steering joints after the last step, radians."""
         self._steering_targets = self._steered
         self._holds_steering = False
-        self._servo = None if drive.servo is None else _Servo(drive.servo, body, frozenset(self._wheels))
+        self._servo = None if drive.servo is None else _Servo(drive.servo, body, frozenset(self._wheels) or None)
 
     def actuate(self, bullet: Bullet, commanded: PlanarVelocity, dt: float) -> None:
         """Sets the motors for the next step, which lasts ``dt`` seconds."""
@@ -62,6 +62,8 @@ class DriveInWorld:
             self._servo.push(bullet, drive.base_velocity, dt)
         if self._steering:
             self._steer(bullet, [angle * sign for angle, sign in zip(targets.angles, self._steering_signs, strict=True)], dt)
+        if not self._wheels:
+            return
         speeds = [speed * sign for speed, sign in zip(targets.speeds, self._wheel_signs, strict=True)]
         if speeds == self._speeds:
             return
@@ -88,6 +90,9 @@ class DriveInWorld:
 
     def read(self, bullet: Bullet, stamp_ns: int, dt: float) -> None:
         """Adds the rotation of the wheels in the last step, of ``dt`` seconds, to the odometry; ``stamp_ns`` determines its noise."""
+        if not self._wheels:
+            self.wheel_odometry.add(self._drive.encoder_turns(self._moved(bullet, dt)), (), stamp_ns, dt)
+            return
         positions = bullet.joint_angles(self._body.engine_body, self._joints)
         angles, self._steered = positions[: len(self._wheels)], positions[len(self._wheels) :]
         rotations = [(new - old) * sign for new, old, sign in zip(angles, self._angles, self._wheel_signs, strict=True)]
@@ -96,13 +101,25 @@ class DriveInWorld:
         steering = [angle * sign for angle, sign in zip(self._steered, self._steering_signs, strict=True)]
         self.wheel_odometry.add(increments, steering, stamp_ns, dt)
 
+    def _moved(self, bullet: Bullet, dt: float) -> tuple[float, float, float]:
+        """Returns the motion of the base in the last step: forward, left (m), rotation (rad)."""
+        pose, linear, angular = self._body.root_state(bullet)
+        R_world_base = matrix_from_quat(pose.quat_xyzw)
+        turn = float(angular @ R_world_base[:, 2]) * dt
+        x, y = float(linear @ R_world_base[:, 0]) * dt, float(linear @ R_world_base[:, 1]) * dt
+        cos, sin = math.cos(turn / 2), math.sin(turn / 2)  # the mean heading of the step is half a turn behind the present one
+        return x * cos - y * sin, x * sin + y * cos, turn
+
 
 class _Servo:
     """Moves a base at a velocity with at most the force that friction of its wheels allows, as if they had rollers."""
 
-    def __init__(self, servo: BaseServo, body: BodyInWorld, wheels: frozenset[int]) -> None:
-        self._servo, self._body, self._wheels = servo, body, wheels
+    def __init__(self, servo: BaseServo, body: BodyInWorld, wheels: frozenset[int] | None) -> None:
+        self._servo, self._body = servo, body
+        self._wheels = wheels
+        """Engine indices of the links whose load gives traction; None = all."""
         self._mass, self._inertia = mass_and_inertia(body.model)
+        self._reach = servo.reach or math.sqrt(self._inertia / self._mass)
         self._slope_loss = [0.0, 0.0]
         """Velocity lost on a slope per step, (x, y) m/s, compensated in advance: without it, a robot at rest would creep downhill."""
 
@@ -111,7 +128,8 @@ class _Servo:
         pose, linear, angular = self._body.root_state(bullet)
         R_world_base = matrix_from_quat(pose.quat_xyzw)
         speed, spin = linear @ R_world_base, angular @ R_world_base
-        touching = (contact for contact in bullet.contacts(self._body.engine_body) if contact.link in self._wheels)
+        contacts = bullet.contacts(self._body.engine_body)
+        touching = contacts if self._wheels is None else [contact for contact in contacts if contact.link in self._wheels]
         load = sum(contact.force for contact in touching if contact.normal[2] > _FLOOR)
         grip = self._servo.traction * load * dt
         change = [velocity.linear - float(speed[0]), velocity.lateral - float(speed[1])]
@@ -120,7 +138,7 @@ class _Servo:
             change[i] += self._slope_loss[i]
         size, limit = math.hypot(*change), grip / self._mass
         scale = 1.0 if size <= limit else limit / size
-        spin_limit = grip * self._servo.reach / self._inertia
+        spin_limit = grip * self._reach / self._inertia
         speed += (change[0] * scale, change[1] * scale, 0.0)
         spin[2] += min(max(velocity.angular - float(spin[2]), -spin_limit), spin_limit)
         bullet.set_velocity(self._body.engine_body, pose.quat_xyzw, R_world_base @ speed, R_world_base @ spin)
@@ -139,13 +157,14 @@ def mass_and_inertia(model: UrdfModel) -> tuple[float, float]:
     return mass, inertia
 
 
-def without_friction(model: UrdfModel, joints: Sequence[str]) -> UrdfModel:
-    """Returns the model with friction 0 for the links below ``joints``."""
+def without_friction(model: UrdfModel, joints: Sequence[str], *, base: bool = False) -> UrdfModel:
+    """Returns the model with friction 0 for the links below ``joints``, and with ``base`` for those fixed to the root."""
     parents = {joint.child: joint.parent for joint in model.joints}
+    fixed = model.fixed_to_root() if base else ()
     smooth = {model.joint(name).child for name in joints}
     links = []
     for link in model.links:  # parents come first
         if parents.get(link.name) in smooth:
             smooth.add(link.name)
-        links.append(replace(link, friction=0.0) if link.name in smooth else link)
+        links.append(replace(link, friction=0.0) if link.name in smooth or link.name in fixed else link)
     return replace(model, links=tuple(links))

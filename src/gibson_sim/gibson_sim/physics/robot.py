@@ -7,6 +7,7 @@ from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.drive import DriveInWorld, without_friction
 from gibson_sim.physics.joint_motors import JointMotors
+from gibson_sim.robots.drive_spec import PlanarSpec
 from gibson_sim.robots.drives import active_command, make_drive
 from gibson_sim.robots.drives.wheel_odometry import WheelOdometry
 from gibson_sim.robots.spec import RobotSpec
@@ -25,7 +26,9 @@ class RobotInWorld(BodyInWorld):
         if spec.drive is not None:
             drive = make_drive(spec.drive)
             self._driven = tuple(joint.name for joint in (*drive.wheels, *drive.steering))
-            if drive.servo is not None:
+            if isinstance(spec.drive, PlanarSpec):
+                model = without_friction(model, spec.drive.free_wheels, base=True)
+            elif drive.servo is not None:
                 model = without_friction(model, [joint.name for joint in drive.wheels])
         self._motorised = tuple(joint for joint in model.joints if joint.name not in self._driven and joint.has_motor)
         """Joints that accept ``command_joints``."""

@@ -16,27 +16,33 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.types import Vec3
 
-DriveKind = Literal["differential", "skid_steer", "omni", "ackermann"]
+DriveKind = Literal["differential", "skid_steer", "omni", "ackermann", "planar"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Limits:
+class _Motion:
     """Common fields of all drives."""
 
-    wheel_radius: float
-    """Radius of the driven wheels, metres."""
     max_linear: float = 0.5
     """Maximum forward speed, m/s."""
     max_angular: float = 2.0
     """Maximum yaw rate, rad/s."""
     max_linear_acceleration: float = 1.0
     """Maximum forward acceleration and deceleration, m/s^2."""
-    max_wheel_torque: float = 10.0
-    """Torque limit of each driven wheel, N m."""
     command_delay: float = 0.0
     """Delay from the arrival of a command to its effect on the motors, s, 0 to 10; rounded to whole physics steps."""
     slip: float = 0.0
     """Slip of translation: fraction of the rolled distance that the base does not move, -0.5 to 0.9; below 0 it moves farther."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Limits(_Motion):
+    """Common fields of drives whose wheels roll in one direction."""
+
+    wheel_radius: float
+    """Radius of the driven wheels, metres."""
+    max_wheel_torque: float = 10.0
+    """Torque limit of each driven wheel, N m."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,10 +104,9 @@ class OmniWheel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OmniSpec(_Limits):
-    """Three or more wheels with rollers, which move the base in all directions."""
+class _AllDirections(_Motion):
+    """Common fields of drives that move the base in all directions."""
 
-    wheels: tuple[OmniWheel, ...]
     max_lateral: float = 0.5
     """Maximum lateral speed, m/s."""
     max_lateral_acceleration: float = 1.0
@@ -111,7 +116,18 @@ class OmniSpec(_Limits):
     turn_slip: float = 0.0
     """Slip of rotation: fraction of the rolled rotation that the base does not make, -0.5 to 0.9."""
     traction: float = 0.5
-    """Maximum total force of the wheels along the floor, as a fraction of the load on them."""
+    """Maximum total force along the floor, as a fraction of the load on what drives."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OmniSpec(_AllDirections):
+    """Three or more wheels with rollers, which move the base in all directions."""
+
+    wheels: tuple[OmniWheel, ...]
+    wheel_radius: float
+    """Radius of the driven wheels, metres."""
+    max_wheel_torque: float = 10.0
+    """Torque limit of each driven wheel, N m."""
 
     def __post_init__(self) -> None:
         _check_positive(
@@ -140,6 +156,27 @@ class OmniSpec(_Limits):
     def wheel_matrix(self) -> NDArray[np.float64]:
         """Returns the (N, 3) matrix that maps base velocities (x m/s, y m/s, yaw rad/s) to joint speeds, rad/s."""
         return np.array([wheel.speed_row(self.wheel_radius) for wheel in self.wheels]).reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanarSpec(_AllDirections):
+    """A base that moves in all directions by itself, as if on air cushions: its wheels are not simulated, or it has none."""
+
+    free_wheels: tuple[str, ...] = ()
+    """Joints of wheels that slide along without friction."""
+
+    def __post_init__(self) -> None:
+        _check_positive(
+            self, "max_linear", "max_lateral", "max_angular", "max_linear_acceleration", "max_lateral_acceleration",
+            "max_angular_acceleration", "traction",
+        )  # fmt: skip
+        _check_response(self.command_delay, self.slip, self.turn_slip)
+        _check_joints(self.free_wheels)
+
+    @property
+    def kind(self) -> DriveKind:
+        """Value of ``drive.type`` in the file."""
+        return "planar"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +238,7 @@ class AckermannSpec(_Limits):
         return tightest if self.min_turning_radius == 0.0 else min(tightest, 1.0 / self.min_turning_radius)
 
 
-DriveSpec = DifferentialSpec | OmniSpec | AckermannSpec
+DriveSpec = DifferentialSpec | OmniSpec | AckermannSpec | PlanarSpec
 
 
 def _check_positive(spec: DriveSpec, *names: str) -> None:

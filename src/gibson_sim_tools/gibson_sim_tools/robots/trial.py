@@ -14,7 +14,7 @@ from gibson_sim.description.extents import MeshPoints
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.geometry.transforms import matrices_from_poses, matrix_from_pose, wrap_angle
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec, OmniSpec
+from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec, OmniSpec, PlanarSpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
@@ -161,7 +161,7 @@ def _drive_tests(drive: DriveSpec) -> tuple[_RunDriveTest, ...]:
     """Returns the functions that run the motions of the test drive."""
     if isinstance(drive, AckermannSpec):
         return (_straight, _circle)
-    return (_straight, _sideways, _spin) if isinstance(drive, OmniSpec) else (_straight, _spin)
+    return (_straight, _sideways, _spin) if isinstance(drive, (OmniSpec, PlanarSpec)) else (_straight, _spin)
 
 
 def _straight(world: PhysicsWorld, name: str, drive: DriveSpec) -> DriveTest:
@@ -170,7 +170,7 @@ def _straight(world: PhysicsWorld, name: str, drive: DriveSpec) -> DriveTest:
 
 
 def _sideways(world: PhysicsWorld, name: str, drive: DriveSpec) -> DriveTest:
-    assert isinstance(drive, OmniSpec)
+    assert isinstance(drive, (OmniSpec, PlanarSpec))
     speed = _speed(drive.max_lateral, drive.max_lateral_acceleration, _SPEED, _DISTANCE)
     return _run_drive_test(world, name, "1 m to the left", (0.0, speed, 0.0), _DISTANCE / speed)
 

@@ -301,7 +301,7 @@ def counted_velocities(spec: DriveSpec, odometry: WheelOdometrySpec, linear: F64
         step_hz: Steps per second.
     """
     drive = make_drive(spec)
-    noise = OdometryNoise(odometry, "robot", 0, left=[wheel.is_left for wheel in drive.wheels])
+    noise = OdometryNoise(odometry, "robot", 0, left=drive.encoders_left)
     rows = wheel_rows(spec)
     turns = np.stack([linear, angular], axis=1) @ rows.T / step_hz
     out = np.zeros((len(linear), 2))

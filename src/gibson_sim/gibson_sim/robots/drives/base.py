@@ -27,7 +27,7 @@ class DriveTargets(NamedTuple):
     """Targets of the motors of a drive until the next step."""
 
     speeds: tuple[float, ...]
-    """Speeds of ``Drive.wheels``, rad/s, forward positive."""
+    """Speeds of ``Drive.wheels``, rad/s, forward positive; without wheels, of what odometry measures."""
     angles: tuple[float, ...] = ()
     """Angles of ``Drive.steering``, radians, positive to the left."""
 
@@ -51,9 +51,9 @@ class BaseServo(NamedTuple):
     """
 
     traction: float
-    """Maximum force along the floor, as a fraction of the load on the wheels."""
+    """Maximum force along the floor, as a fraction of the load on the wheels, or on the whole robot if the drive has none."""
     reach: float
-    """Distance from the base's origin to the wheels, metres: the lever arm of that force."""
+    """Distance from the base's origin to the wheels, metres: the lever arm of that force; 0 = the robot's radius of gyration."""
 
 
 class Response(NamedTuple):
@@ -103,6 +103,11 @@ class Drive(ABC):
             dt: Time since the last call, s, constant.
         """
         return self._follow(self._delay.delayed(commanded, dt), dt)
+
+    @property
+    def encoders_left(self) -> tuple[bool, ...]:
+        """For each value that odometry measures in a step, usually the rotation of a wheel, whether it is on the robot's left."""
+        return tuple(wheel.is_left for wheel in self.wheels)
 
     @property
     def base_velocity(self) -> PlanarVelocity:

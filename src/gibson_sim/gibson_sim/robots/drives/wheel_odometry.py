@@ -28,14 +28,14 @@ class WheelOdometry:
             seed: Seed of the simulation.
         """
         self._drive = drive
-        self._is_left = [wheel.is_left for wheel in drive.wheels]
+        self._is_left = drive.encoders_left
         noise = OdometryNoise(spec, name, seed, left=self._is_left)
         self._noise = None if noise.exact else noise
         self._sides_differ = {spec.left_radius_factor, spec.right_radius_factor} != {1.0}
         ticks: list[Planar] = []
         if spec.encoder_ticks:
             tick, straight = TURN / spec.encoder_ticks, [0.0] * len(drive.steering)
-            wheels = range(len(drive.wheels))
+            wheels = range(len(self._is_left))
             ticks = [drive.travel([tick if i == wheel else 0.0 for i in wheels], straight) for wheel in wheels]
         self._errors = OdometryErrors(spec, drive.response.slip, drive.response.turn_slip, ticks, steered=bool(drive.steering))
 

@@ -6,9 +6,10 @@ shapes, ``sensor_guesses`` recognises sensors by tags and names.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from gibson_sim.robots.loading.base_frame import FOOTPRINT
 from gibson_sim.robots.loading.drive import ALIGNED
 from gibson_sim.robots.loading.guess import Guess
 from gibson_sim.robots.loading.sensor_guesses import guess_sensors
-from gibson_sim.robots.loading.wheels import Pair, Wheel, find_pairs, find_wheels, steers
+from gibson_sim.robots.loading.wheels import Pair, Wheel, find_pairs, find_wheels, in_all_directions, steers
 
 DESCRIPTION_SUFFIXES = (".urdf", ".xacro")
 """Suffixes of files that describe a robot without a ``robot.yaml``, lower case."""
@@ -43,6 +44,10 @@ _GRIP = 1.0
 _MAX_STEERING_DEG = 30.0
 """Default steering limit of joints without limits, degrees."""
 _MECANUM = re.compile(r"mecanum|mechanum", re.IGNORECASE)
+_MECANUM_DEG = (45, -45, -45, 45)
+"""``roller_deg`` of mecanum wheels that can turn the robot: rear left, rear right, front left, front right."""
+_LEAST_ROLLER_DEG = 15.0
+"""Minimum angle of a roller that tells a mecanum wheel from an omni wheel, degrees."""
 _LEAST_TRACK = 0.02
 """Minimum distance of a left wheel from a right one, metres."""
 _LEAST_LEG_JOINTS = 2
@@ -78,11 +83,12 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
     """
     values: dict[str, Any] = {}
     guesses: list[Guess] = []
-    candidates, sideways = find_wheels(model, points, _named_wheels(model))
-    if not candidates and not sideways:
+    candidates, others = find_wheels(model, points, _named_wheels(model))
+    sideways = [wheel.joint for wheel in others if abs(wheel.axis[0]) >= ALIGNED]
+    if not candidates and not sideways and not _is_moved(model):
         _refuse_legs(model, points)
     try:
-        drive, wheels = _derive_drive(model, candidates, sideways, guesses)
+        drive, wheels = _derive_drive(model, candidates, others, guesses)
     except RobotError:
         if needs_drive or find_pairs(candidates):
             raise
@@ -91,7 +97,10 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
         why = f"none: {wrong}" if wrong else "none, no wheels were found that could drive it"
         guesses.append(Guess("drive", why, by_hand=f"description: {wrong}" if wrong else ""))
         _fix_base(model, points, values, guesses)
-    if drive is not None:
+    if drive is not None and drive["type"] == "planar":
+        _base(model, _floor_of_shapes(model, points), values, guesses)
+        values["drive"] = drive
+    elif drive is not None:
         drop, why = _drop(model, wheels, points)
         _base(model, min(wheel.bottom for wheel in wheels) - drop, values, guesses)
         if drop:
@@ -110,16 +119,27 @@ def _named_wheels(model: UrdfModel) -> tuple[str, ...]:
     return () if model.gazebo.drive is None else model.gazebo.drive.joints
 
 
+def _is_moved(model: UrdfModel) -> bool:
+    """Returns whether a plugin of Gazebo moves the base itself, in all directions."""
+    return model.gazebo.drive is not None and model.gazebo.drive.kind == "planar"
+
+
 def _derive_drive(
-    model: UrdfModel, candidates: list[Wheel], sideways: Sequence[UrdfJoint], guesses: list[Guess]
+    model: UrdfModel, candidates: list[Wheel], others: list[Wheel], guesses: list[Guess]
 ) -> tuple[dict[str, Any], list[Wheel]]:
     """Returns (section ``drive``, its wheels, each with a radius)."""
+    hint = "" if model.gazebo.drive is None else model.gazebo.drive.kind
+    around = [] if hint == "differential" or not others else in_all_directions([*candidates, *others])
+    if around:
+        return _omni_drive(model, around, guesses)
     named = [wheel for wheel in candidates if wheel.joint.name in _named_wheels(model)]
     # Prefer the wheels of Gazebo's plugin, if they form pairs; others are assumed to be casters.
     wheels = named if find_pairs(named) else candidates
     pairs = find_pairs(wheels)
+    if hint == "planar" and (len(pairs) != 2 or any(pair.swivels for pair in pairs)):
+        return _planar_drive(model, [*candidates, *others], guesses), []
     if not pairs:
-        raise RobotError(_no_drive_reason(model, wheels, sideways))
+        raise RobotError(_no_drive_reason(model, wheels, [wheel.joint for wheel in others if abs(wheel.axis[0]) >= ALIGNED]))
     fixed = [pair for pair in pairs if not (pair.left.swivel or pair.right.swivel)]
     steered = [pair for pair in pairs if pair.swivels]
     lone = [
@@ -147,13 +167,18 @@ def _derive_drive(
         drive = {"type": "differential", "left_joint": pair.left.joint.name, "right_joint": pair.right.joint.name}
     else:
         used = fixed
-        drive = _multi_axle_drive(model, fixed)
+        sign = _mecanum_sign(model, fixed)
+        drive = _mecanum_drive(model, fixed, sign) if sign else _skid_steer_drive(fixed)
     radius, how = _radius(model, used)
-    measured = [Wheel(w.joint, w.hub, w.radius or radius, w.rolls, w.swivel) for p in used for w in (p.left, p.right)]
+    measured = [replace(w, radius=w.radius or radius) for p in used for w in (p.left, p.right)]
     drive["wheel_radius"] = round(radius, 5)
     joints = ", ".join(wheel.joint.name for wheel in measured)
     track = float(used[0].left.hub[1] - used[0].right.hub[1])
     reason = " (Gazebo's plugin drives by them)" if wheels is named else ""
+    if drive["type"] == "omni":
+        reason = f" (mecanum: {sign})"
+    elif drive["type"] == "skid_steer":
+        reason = reason or " (they do not steer, and nothing says that they are mecanum)"
     guesses.append(Guess("drive", f"{drive['type']}, by the wheels of {joints}{reason}"))
     guesses.append(Guess("drive", f"{radius:.4g} m, {how}; wheels {track:.4g} m apart", "wheel_radius"))
     if drive["type"] == "skid_steer":
@@ -166,7 +191,11 @@ def _derive_drive(
         pins = f"{used[1].left.swivel.name}, {used[1].right.swivel.name}"  # type: ignore[union-attr]
         guesses.append(Guess("drive", f"{pins}, {used[1].x - used[0].x:.4g} m in front", "steering"))
     if drive["type"] == "omni":
-        text = "45 degrees, as seen from above on mecanum wheels that can turn the robot"
+        angles = ", ".join(f"{wheel['roller_deg']:g}" for wheel in drive["wheels"])
+        how_angled = (
+            "as on mecanum wheels that can turn the robot" if fixed[0].left.roller is None else "measured on their rollers"
+        )
+        text = f"{angles} degrees, {how_angled}"
         guesses.append(Guess("drive", text, "roller_deg", "drive.wheels: roller_deg of each, if it goes the wrong way sideways"))
     return drive, measured
 
@@ -277,15 +306,80 @@ def _ackermann(driven: Pair, front: Pair) -> dict[str, Any]:
     return drive
 
 
-def _multi_axle_drive(model: UrdfModel, pairs: Sequence[Pair]) -> dict[str, Any]:
+def _skid_steer_drive(pairs: Sequence[Pair]) -> dict[str, Any]:
     rear_to_front = [wheel.joint.name for pair in pairs for wheel in (pair.left, pair.right)]
-    meshes = (visual.shape.mesh for link in model.links for visual in link.visuals)
-    texts = (*(link.name for link in model.links), *(joint.name for joint in model.joints), *(Path(mesh).name for mesh in meshes))
-    if len(pairs) == 2 and any(_MECANUM.search(text) for text in texts):
-        angles = (45, -45, -45, 45)  # rear left, rear right, front left, front right
-        wheels = [{"joint": name, "roller_deg": angle} for name, angle in zip(rear_to_front, angles, strict=True)]
-        return {"type": "omni", "wheels": wheels}
     return {"type": "skid_steer", "left_joints": rear_to_front[::2], "right_joints": rear_to_front[1::2]}
+
+
+def _mecanum_sign(model: UrdfModel, pairs: Sequence[Pair]) -> str:
+    """Returns what says that the wheels are mecanum wheels; empty = nothing."""
+    plugin = model.gazebo.drive
+    if plugin is not None and plugin.kind != "differential":
+        return f"Gazebo's plugin {plugin.plugin}"
+    wheels = [wheel for pair in pairs for wheel in (pair.left, pair.right)]
+    if any(wheel.roller is not None and abs(math.degrees(wheel.roller)) > _LEAST_ROLLER_DEG for wheel in wheels):
+        return "their rollers have joints"
+    meshes = dict.fromkeys(Path(visual.shape.mesh).name for link in model.links for visual in link.visuals if visual.shape.mesh)
+    for what, names in (
+        ("link", [link.name for link in model.links]), ("joint", [joint.name for joint in model.joints]), ("mesh", meshes),
+    ):  # fmt: skip
+        found = next((name for name in names if _MECANUM.search(name)), None)
+        if found is not None:
+            return f"the name of {what} {quoted(found)}"
+    drawn = [_drawn_wheel(model, wheel) for wheel in wheels]
+    if len(drawn) == 4 and all(drawn) and drawn[0] == drawn[3] != drawn[1] == drawn[2]:
+        return "wheels across the corners have the same mesh, those beside each other have not"
+    return ""
+
+
+def _drawn_wheel(model: UrdfModel, wheel: Wheel) -> tuple[tuple[str, bool], ...]:
+    """Returns the mesh files of a wheel, each with whether it is mirrored."""
+    shapes = [visual.shape for name in rigid_links(model, wheel.joint.child) for visual in model.link(name).visuals]
+    return tuple((shape.mesh, math.prod(shape.size) < 0.0) for shape in shapes if shape.mesh)
+
+
+def _mecanum_drive(model: UrdfModel, pairs: Sequence[Pair], sign: str) -> dict[str, Any]:
+    wheels = [wheel for pair in pairs for wheel in (pair.left, pair.right)]
+    if len(pairs) != 2:
+        raise RobotError(
+            f"{model.path}: has {len(wheels)} mecanum wheels ({sign}), of which only four have a known arrangement; {_BY_HAND}"
+        )
+    angles = [float(angle) for angle in _MECANUM_DEG]
+    if all(wheel.roller is not None for wheel in wheels):
+        angles = [round(math.degrees(wheel.roller or 0.0), 2) for wheel in wheels]
+    return {"type": "omni", "wheels": [{"joint": w.joint.name, "roller_deg": a} for w, a in zip(wheels, angles, strict=True)]}
+
+
+def _omni_drive(model: UrdfModel, wheels: list[Wheel], guesses: list[Guess]) -> tuple[dict[str, Any], list[Wheel]]:
+    """Returns (section ``drive`` of omni wheels whose axes differ, its wheels)."""
+    radius = float(np.mean([wheel.radius for wheel in wheels]))
+    names = ", ".join(wheel.joint.name for wheel in wheels)
+    guesses.append(Guess("drive", f"omni, by the wheels of {names} (their axes point in different directions)"))
+    guesses.append(Guess("drive", f"{radius:.4g} m, measured on their shapes", "wheel_radius"))
+    turned = [round(math.degrees(wheel.roller or 0.0), 2) for wheel in wheels]
+    return {
+        "type": "omni", "wheels": [{"joint": w.joint.name, "roller_deg": a} for w, a in zip(wheels, turned, strict=True)],
+        "wheel_radius": round(radius, 5),
+    }, wheels  # fmt: skip
+
+
+def _planar_drive(model: UrdfModel, wheels: Sequence[Wheel], guesses: list[Guess]) -> dict[str, Any]:
+    """Returns the section ``drive`` of a base that a plugin of Gazebo moves."""
+    assert model.gazebo.drive is not None
+    free = [wheel.joint.name for wheel in wheels]
+    text = f"planar, the base moves in all directions by itself (Gazebo's plugin {model.gazebo.drive.plugin})"
+    guesses.append(Guess("drive", text))
+    if free:
+        guesses.append(Guess("drive", f"{', '.join(free)}: they slide along", "free_wheels"))
+    return {"type": "planar", **({"free_wheels": free} if free else {})}
+
+
+def _floor_of_shapes(model: UrdfModel, points: MeshPoints | None) -> float:
+    """Returns the lowest point of the collision shapes, on which a base without driven wheels slides, z in the root frame, metres."""
+    lowest = _lowest(model, [link.name for link in model.links], model.transforms(), points)
+    if lowest is None:
+        raise RobotError(f"{model.path}: has no collision shape to stand on; give its base a <collision>")
+    return lowest
 
 
 def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> tuple[float, str]:

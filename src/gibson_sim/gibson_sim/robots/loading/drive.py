@@ -14,9 +14,12 @@ from gibson_sim.errors import RobotError
 from gibson_sim.formats.yaml_map import YamlMap
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveSpec, OmniSpec, OmniWheel
+from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveSpec, OmniSpec, OmniWheel, PlanarSpec
 
-_LIMITS = ("max_linear", "max_angular", "max_linear_acceleration", "max_wheel_torque", "command_delay", "slip")
+_MOTION = ("max_linear", "max_angular", "max_linear_acceleration", "command_delay", "slip")
+_LIMITS = (*_MOTION, "max_wheel_torque")
+_SIDEWAYS = {"max_lateral": "max_linear", "max_lateral_acceleration": "max_linear_acceleration"}
+"""Limit sideways -> the one forward, which is its default."""
 _TURNS = ("max_angular_acceleration", "turn_slip")
 ALIGNED = 0.99
 """Minimum cosine of the angle between the axis of a joint and its ideal direction."""
@@ -127,18 +130,32 @@ def _skid_steer(section: _DriveSection) -> DifferentialSpec:
 
 
 def _omni(section: _DriveSection) -> OmniSpec:
-    limits = (*_LIMITS, "max_lateral", "max_lateral_acceleration", *_TURNS, "traction")
+    limits = (*_LIMITS, *_SIDEWAYS, *_TURNS, "traction")
     section.settings.check_keys(("type", "wheels", "wheel_radius", *limits))
     items = section.settings.values.get("wheels")
     if not isinstance(items, list) or not items:
         raise RobotError(f"{section.where}: wheels is {quoted(items)}, must be a list of {{joint: .., roller_deg: ..}}")
     wheels = [_omni_wheel(section, section.settings.within(item, f"wheels[{i}]")) for i, item in enumerate(items)]
     joints = [section.model.joint(wheel.joint) for wheel in wheels]
-    values = section.settings.numbers(limits)
-    for sideways, forward in (("max_lateral", "max_linear"), ("max_lateral_acceleration", "max_linear_acceleration")):
+    return OmniSpec(wheels=tuple(wheels), wheel_radius=section.radius(joints), **_in_all_directions(section, limits))
+
+
+def _planar(section: _DriveSection) -> PlanarSpec:
+    limits = (*_MOTION, *_SIDEWAYS, *_TURNS, "traction")
+    section.settings.check_keys(("type", "free_wheels", *limits))
+    free = section.names("free_wheels") if "free_wheels" in section.settings.values else ()
+    for name in free:
+        section.model.joint(name)
+    return PlanarSpec(free_wheels=free, **_in_all_directions(section, limits))
+
+
+def _in_all_directions(section: _DriveSection, keys: tuple[str, ...]) -> dict[str, float]:
+    """Returns the numbers of the file; those sideways are those forward if missing."""
+    values = section.settings.numbers(keys)
+    for sideways, forward in _SIDEWAYS.items():
         if forward in values:
             values.setdefault(sideways, values[forward])
-    return OmniSpec(wheels=tuple(wheels), wheel_radius=section.radius(joints), **values)
+    return values
 
 
 def _omni_wheel(section: _DriveSection, item: YamlMap) -> OmniWheel:
@@ -197,7 +214,7 @@ def _max_steering(section: _DriveSection, given_deg: float | None, pins: Sequenc
 
 
 _READERS: dict[str, Callable[[_DriveSection], DriveSpec]] = {
-    "differential": _differential, "skid_steer": _skid_steer, "omni": _omni, "ackermann": _ackermann,
+    "differential": _differential, "skid_steer": _skid_steer, "omni": _omni, "ackermann": _ackermann, "planar": _planar,
 }  # fmt: skip
 
 

@@ -33,6 +33,9 @@ _BATTERY = (
 )  # fmt: skip
 _WHEELS = ("left_radius_factor", "right_radius_factor", "separation_factor", "alpha1", "alpha2", "alpha3", "alpha4")
 
+_OF_WHEELS = ("encoder_ticks", "left_radius_factor", "right_radius_factor")
+"""Keys of ``wheel_odometry`` that need wheels."""
+
 
 def read_sensors(robot: YamlMap, model: UrdfModel, name: str) -> SensorSpecs:
     """Returns the sensors of the robot ``name``.
@@ -42,6 +45,12 @@ def read_sensors(robot: YamlMap, model: UrdfModel, name: str) -> SensorSpecs:
         ConfigError: a value is out of range.
     """
     battery, wheels = robot.section("battery"), robot.section("wheel_odometry")
+    drive = robot.section("drive")
+    of_wheels = [key for key in _OF_WHEELS if wheels is not None and key in wheels.values]
+    if of_wheels and drive is not None and drive.values.get("type") == "planar":
+        raise RobotError(
+            f"{robot.where}: wheel_odometry: {of_wheels[0]} is of wheels, which a drive of type planar has not; remove it"
+        )
     return SensorSpecs(
         lidars=tuple(_lidar(section, model, name) for section in _sections(robot, "lidar")),
         lidars_3d=tuple(_lidar_3d(section, model, name) for section in _sections(robot, "lidar_3d")),

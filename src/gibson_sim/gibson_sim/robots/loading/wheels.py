@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,8 +19,14 @@ _LEVEL = 0.14
 """Maximum sine of the angle between the axis of a wheel and the floor."""
 _ROUND = 0.15
 """Maximum deviation of the outline of a wheel from a circle about its axis, as a fraction of its radius."""
+_LEAST_LEVER = 0.02
+"""Minimum lever arm, metres, and minimum sine of an angle between wheels that can turn or move a base in that direction."""
+_OBLIQUE = 0.3
+"""Maximum sine of the angle between the axis of an omni wheel and the line to the middle of all."""
 _SAME = 0.03
 """Maximum difference of the two wheels of a pair in x and in z, metres."""
+_MIN_ROLLERS = 4
+"""Minimum number of free joints on a wheel that are its rollers."""
 _LIFT = 0.2
 """Maximum height of a wheel above the lowest one, as a fraction of its radius."""
 
@@ -31,6 +38,8 @@ class Wheel:
     joint: UrdfJoint
     hub: NDArray[np.float64]
     """Centre of the wheel, (3,), in the root frame, metres."""
+    axis: NDArray[np.float64]
+    """Axis of the joint, unit vector, (3,), in the root frame."""
     radius: float
     """Radius, metres; 0 = none of its shapes can be measured."""
     rolls: bool
@@ -38,6 +47,9 @@ class Wheel:
     hull, which the engine also enlarges by a millimetre."""
     swivel: UrdfJoint | None
     """Nearest ancestor joint with a vertical axis; None = the wheel cannot be steered."""
+    roller: float | None = None
+    """Angle from the direction in which positive rotation rolls the wheel to the axis of its lowest roller, radians, counter-clockwise from
+    above, within 90 degrees; None = it has no rollers with joints of their own."""
 
     @property
     def bottom(self) -> float:
@@ -50,6 +62,11 @@ class Wheel:
         text = f"{self.joint.name} {self.joint.child}".lower()
         free = self.swivel is not None and not steers(self.swivel)
         return free or "caster" in text or "castor" in text
+
+    @property
+    def heading(self) -> float:
+        """Direction in which positive rotation rolls it, radians from x of the root, counter-clockwise."""
+        return math.atan2(-self.axis[0], self.axis[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +92,8 @@ def steers(joint: UrdfJoint) -> bool:
     return joint.kind == "revolute" or "steer" in f"{joint.name} {joint.child}".lower()
 
 
-def find_wheels(
-    model: UrdfModel, points: MeshPoints | None = None, named: Sequence[str] = ()
-) -> tuple[list[Wheel], list[UrdfJoint]]:
-    """Returns (candidate wheels, continuous joints of round links whose axis is along x).
+def find_wheels(model: UrdfModel, points: MeshPoints | None = None, named: Sequence[str] = ()) -> tuple[list[Wheel], list[Wheel]]:
+    """Returns (candidate wheels, which roll along x; others, which roll in another direction).
 
     Args:
         model: The links.
@@ -87,9 +102,11 @@ def find_wheels(
     """
     transforms = model.transforms()
     above = {joint.child: joint for joint in model.joints}
-    wheels, sideways = [], []
+    wheels: list[Wheel] = []
+    others: list[Wheel] = []
+    rollers = {roller.name for joint in model.joints for roller in _rollers(model, joint)}
     for joint in model.joints:
-        if joint.kind != "continuous" or joint.mimic is not None:
+        if joint.kind != "continuous" or joint.mimic is not None or joint.name in rollers:
             continue
         frame = transforms[joint.child]
         axis = frame[:3, :3] @ np.array(joint.axis)
@@ -97,14 +114,32 @@ def find_wheels(
             continue
         wheel = _wheel(model, joint, transforms, _swivel(joint, above, transforms), points)
         if wheel is None and joint.name in named:
-            wheel = Wheel(joint, frame[:3, 3], 0.0, _collides(model, joint), _swivel(joint, above, transforms))
+            wheel = Wheel(joint, frame[:3, 3], axis, 0.0, _collides(model, joint), _swivel(joint, above, transforms))
         if wheel is None:
             continue
-        if abs(axis[1]) >= ALIGNED:
-            wheels.append(wheel)
-        elif abs(axis[0]) >= ALIGNED:
-            sideways.append(joint)
-    return wheels, sideways
+        (wheels if abs(axis[1]) >= ALIGNED else others).append(wheel)
+    return wheels, others
+
+
+def in_all_directions(wheels: Sequence[Wheel]) -> list[Wheel]:
+    """Returns the wheels on the floor if they can move a base in all directions because their axes differ; else none.
+
+    Such wheels have free rollers about their rim: three or more, of one size, none of which is steered, all with axes through their middle.
+    """
+    able = [wheel for wheel in wheels if not wheel.is_caster and wheel.swivel is None and wheel.radius > 0.0]
+    lowest = min((wheel.bottom for wheel in able), default=0.0)
+    standing = [wheel for wheel in able if wheel.bottom - lowest <= max(_LIFT * wheel.radius, 0.01)]
+    if len(standing) < 3 or max(w.radius for w in standing) > (1.0 + _ROUND) * min(w.radius for w in standing):
+        return []
+    hubs = np.array([wheel.hub[:2] for wheel in standing])
+    axes = np.array([wheel.axis[:2] for wheel in standing])
+    arms = hubs - hubs.mean(axis=0)
+    beside = np.abs(arms[:, 0] * axes[:, 1] - arms[:, 1] * axes[:, 0])
+    if (beside > np.maximum(_OBLIQUE * np.hypot(*arms.T), _LEAST_LEVER)).any():
+        return []
+    # Rows map the velocity of the base (x, y, yaw) to that at which each wheel rolls.
+    rows = np.stack([axes[:, 1], -axes[:, 0], -(arms * axes).sum(axis=1)], axis=1)
+    return standing if np.linalg.matrix_rank(rows, tol=_LEAST_LEVER) == 3 else []
 
 
 def find_pairs(wheels: list[Wheel]) -> list[Pair]:
@@ -160,6 +195,9 @@ def _wheel(
     """Returns the wheel of a joint; None = neither its collision shapes nor its visuals are round about its axis."""
     frame = transforms[joint.child]
     hub, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)
+    on_rollers = _on_rollers(model, joint, transforms, swivel, points)
+    if on_rollers is not None:
+        return on_rollers
     links = [model.link(name) for name in rigid_links(model, joint.child)]
     measured = False
     for kind in ("collisions", "visuals"):
@@ -173,8 +211,39 @@ def _wheel(
             shapes = [item.shape for link in links for item in getattr(link, kind)]
             near = [s.size[0] for s in shapes if s.kind in ROUND_KINDS and abs(s.size[0] - radius) < _ROUND * radius]
             rolls = kind == "collisions" and all(shape.kind in ROUND_KINDS for shape in shapes)
-            return Wheel(joint, hub, max(near, default=radius), rolls, swivel)
-    return None if measured else Wheel(joint, hub, 0.0, _collides(model, joint), swivel)
+            return Wheel(joint, hub, axis, max(near, default=radius), rolls, swivel)
+    return None if measured else Wheel(joint, hub, axis, 0.0, _collides(model, joint), swivel)
+
+
+def _on_rollers(
+    model: UrdfModel, joint: UrdfJoint, transforms: dict[str, Mat4], swivel: UrdfJoint | None, points: MeshPoints | None
+) -> Wheel | None:
+    """Returns the wheel of a joint if it stands on rollers with joints of their own; None = it does not."""
+    rollers = _rollers(model, joint)
+    if not rollers:
+        return None
+    frame = transforms[joint.child]
+    hub, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)
+    lowest = min(rollers, key=lambda roller: float(transforms[roller.child][2, 3]))
+    along = transforms[lowest.child][:3, :3] @ np.array(lowest.axis)
+    ahead, aside = float(axis[1] * along[0] - axis[0] * along[1]), float(axis @ along)
+    angle = math.atan(aside / ahead) if abs(ahead) > _LEAST_LEVER else math.pi / 2
+    links = [model.link(name) for name in rigid_links(model, lowest.child)]
+    for kind in ("collisions", "visuals"):
+        spanned = np.concatenate([link_points(getattr(link, kind), transforms[link.name], points) for link in links])
+        if len(spanned):
+            radius = float(hub[2] - spanned[:, 2].min())
+            return Wheel(joint, hub, axis, radius, kind == "collisions", swivel, angle)
+    return None
+
+
+def _rollers(model: UrdfModel, joint: UrdfJoint) -> list[UrdfJoint]:
+    """Returns the joints of the rollers of the wheel of a joint; few free joints on it are something else."""
+    if joint.kind != "continuous":
+        return []
+    rim = rigid_links(model, joint.child)
+    found = [other for other in model.joints if other.parent in rim and other.kind == "continuous" and other.mimic is None]
+    return found if len(found) >= _MIN_ROLLERS else []
 
 
 def _round_radius(offset: NDArray[np.float64], axis: NDArray[np.float64]) -> float:

@@ -48,7 +48,7 @@ _VARIANCE_KEYS = ("alpha1", "alpha2", "alpha3", "alpha4")
 _RATIO_KEYS = ("left_radius_factor", "right_radius_factor", "separation_factor")
 """Keys of wheel_odometry whose difference from 1 is the error."""
 _RATIO_LIMITS = (0.5, 2.0)
-_TRACTION = {"skid_steer": 0.8, "omni": 0.5}
+_TRACTION = {"skid_steer": 0.8, "omni": 0.5, "planar": 0.5}
 """Drive type -> default of drive.traction."""
 _MIN_TRACTION = 1e-3
 _MIN_PAYLOAD = 1e-3
