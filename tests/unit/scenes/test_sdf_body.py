@@ -16,7 +16,8 @@ from gibson_sim.errors import SceneError
 from gibson_sim.formats.uris import UriResolver
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.sdf.body import SdfBody, SdfBodyReader
-from gibson_sim.scenes.sdf.model import SdfModels, sdf_version
+from gibson_sim.scenes.sdf.elements import sdf_version
+from gibson_sim.scenes.sdf.model import SdfModels
 
 BOX = "<geometry><box><size>1 2 3</size></box></geometry>"
 QUARTER = "1.5707963267948966"

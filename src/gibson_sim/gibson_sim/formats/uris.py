@@ -1,8 +1,10 @@
-"""Resolves the URIs in world files: ``model://``, ``package://``, ``file://`` and relative paths."""
+"""Resolves the URIs in world files: ``model://``, ``package://``, ``file://``, relative paths, and models of Gazebo Fuel (``https://``)."""
 
 from __future__ import annotations
 
 import os
+import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
@@ -12,6 +14,10 @@ from gibson_sim.reading import exists, is_folder
 from gibson_sim.resources import PATH_VARIABLE
 
 _MODEL_VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")
+_FUEL_CACHES = (("GZ_FUEL_CACHE_PATH", "~/.gz/fuel"), ("IGN_FUEL_CACHE_PATH", "~/.ignition/fuel"))
+"""Environment variable and default folder of the models that Gazebo has downloaded from Fuel."""
+_FUEL_URL = re.compile(r"https?://([^/]+)/[^/]+/([^/]+)/models/([^/]+)(?:/([^/]+))?(?:/files)?(?:/(.*))?", re.IGNORECASE)
+"""URL of a model on Fuel: server, owner, name, version (a number or "tip"), and path of a file in it."""
 _LEVELS_UP = 3
 """Default maximum number of folders above a folder in ``ancestors``."""
 
@@ -20,7 +26,67 @@ def environment_folders() -> tuple[Path, ...]:
     """Returns the existing model folders of Gazebo's environment variables and of ``$GIBSON_SIM_PATH``."""
     entries = [entry for variable in _MODEL_VARIABLES for entry in _entries(variable)]
     entries += [folder for entry in _entries(PATH_VARIABLE) for folder in (entry / "models", entry / "objects", entry)]
-    return tuple(dict.fromkeys(Path(os.path.realpath(e)) for e in entries if is_folder(e)))
+    return tuple(dict.fromkeys(Path(os.path.realpath(e)) for e in (*entries, *fuel_caches()) if is_folder(e)))
+
+
+def fuel_caches() -> tuple[Path, ...]:
+    """Returns the existing folders of the models that Gazebo has downloaded."""
+    folders = (Path(os.path.expanduser(os.environ.get(variable) or default)) for variable, default in _FUEL_CACHES)
+    return tuple(folder for folder in folders if is_folder(folder))
+
+
+def cached_models(uri: str) -> Iterator[Path]:
+    """Yields the copies, in Gazebo's caches, of the model or file at a URI: ``model://`` or the URL of a model on Fuel."""
+    scheme, _, rest = uri.partition("://")
+    found = _FUEL_URL.fullmatch(uri)
+    if found is not None:
+        yield from _cached(*((part or "") for part in found.groups()))
+    elif scheme.lower() == "model" and rest.strip("/"):
+        name, _, inner = rest.lstrip("/").partition("/")
+        yield from _cached("*", "*", name, inner=inner)
+
+
+def missing_from_cache(uri: str) -> str:
+    """Returns what to do about a model of Fuel that is in none of Gazebo's caches, as the end of a sentence; "" for other URIs."""
+    if not _FUEL_URL.fullmatch(unquote(uri)):
+        return ""
+    folder = next((str(folder) for folder in fuel_caches()), _FUEL_CACHES[0][1])
+    return f"is not in Gazebo's cache, {folder}: download it with `gz fuel download -u {shlex.quote(uri)}`"
+
+
+def _cached(server: str, owner: str, name: str, version: str = "", inner: str = "") -> Iterator[Path]:
+    """Yields the copies of a model in Gazebo's caches: those of the given version, else the one of the highest version.
+
+    Args:
+        server: host name; "*" = any.
+        owner: owner of the model; "*" = any.
+        name: name of the model; Gazebo stores it in lower case.
+        version: number of the version; another text means the highest.
+        inner: path of a file in the model; empty = its folder.
+    """
+    for cache in fuel_caches():
+        wanted = [text.lower() for text in (server, owner, "models", name)]
+        for folder in _below(cache, wanted):
+            numbers = sorted((int(v.name) for v in _entries_of(folder) if v.name.isdecimal()), reverse=True)
+            chosen = [int(version)] if version.isdecimal() else numbers[:1]
+            yield from (folder / str(number) / inner for number in chosen if number in numbers)
+
+
+def _below(folder: Path, names: list[str]) -> Iterator[Path]:
+    """Yields the folders at a path of lower-case names, ignoring case; "*" = any name."""
+    if not names:
+        yield folder
+        return
+    for entry in _entries_of(folder):
+        if names[0] in ("*", entry.name.lower()):
+            yield from _below(entry, names[1:])
+
+
+def _entries_of(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []
 
 
 def _entries(variable: str) -> list[Path]:
@@ -75,6 +141,11 @@ class UriResolver:
         exact = next((p for p in candidates if exists(p)), None)
         return exact or next((p for p in map(find_ignoring_case, candidates) if exists(p)), None)
 
+    def reason_missing(self, uri: str) -> str:
+        """Returns why ``find`` does not find a URI, and what to do, as the end of a sentence."""
+        elsewhere = "is on the network: download it and name the copy" if uri.startswith("http") else "does not exist"
+        return missing_from_cache(uri) or elsewhere
+
     def _candidates(self, uri: str, base: Path) -> Iterator[Path]:
         scheme, separator, rest = uri.partition("://")
         scheme = scheme.lower() if separator else ""
@@ -83,6 +154,9 @@ class UriResolver:
         elif scheme == "model":
             yield from (folder / rest.lstrip("/") for folder in self.model_folders)
             yield from installed_paths(rest.lstrip("/"))
+            yield from cached_models(uri)
+        elif scheme in ("http", "https"):
+            yield from cached_models(uri)
         elif scheme == "file":
             if rest.startswith("/"):
                 yield Path(rest)

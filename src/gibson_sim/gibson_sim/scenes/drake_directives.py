@@ -14,11 +14,12 @@ from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.errors import MeshError, SceneError, TextError
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.formats.uris import UriResolver
-from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import YAML_LOADER, parse_yaml
 from gibson_sim.scenes.builder import SceneBuilder, class_from_model
-from gibson_sim.scenes.sdf.model import Element, SdfModels
+from gibson_sim.scenes.sdf.model import SdfModels
+from gibson_sim.scenes.sdf.scopes import Scope
 
 F64 = NDArray[np.float64]
 
@@ -75,7 +76,9 @@ class _DirectivesReader:
         self.path = path
         self.uris = UriResolver(builder.root, path.parent)
         self.models = SdfModels(builder, self.uris)
-        self._elements: dict[str, tuple[Element | None, Path]] = {}
+        self._models: dict[str, Scope | None] = {}
+        """Name -> scope of an SDF model; None for a mesh."""
+        self._files: dict[str, Path] = {}
         self._poses: dict[str, F64] = {}
         self._frames: dict[str, F64] = {"world": np.eye(4)}
 
@@ -96,15 +99,15 @@ class _DirectivesReader:
 
     def place_models(self) -> None:
         """Adds every model at the pose of its weld, or at the origin of the world."""
-        for name, (element, file) in self._elements.items():
+        for name, scope in self._models.items():
             if name not in self._poses:
                 self.builder.warn(f"{self.path}: model {quoted(name)} has no weld; it is placed at the origin")
             matrix = self._poses.get(name, np.eye(4))
-            if element is not None:
-                self.models.model(element, matrix, name, file.parent)
+            if scope is not None:
+                self.models.place(scope, matrix, name)
                 continue
             try:
-                shape, T_world_shape = self.builder.mesh_shape(file, matrix, (1.0, 1.0, 1.0))
+                shape, T_world_shape = self.builder.mesh_shape(self._files[name], matrix, (1.0, 1.0, 1.0))
             except MeshError as e:
                 self.builder.warn(f"model {name}: {e}; left out", OmissionKind.UNSUPPORTED_ASSET)
                 continue
@@ -118,39 +121,37 @@ class _DirectivesReader:
             self.builder.warn(f"model {quoted(name)}: file {quoted(uri)} does not exist; left out", OmissionKind.MISSING_ASSET)
             return
         if file.suffix.lower() in MESH_SUFFIXES:
-            self._elements[name] = (None, file)
+            self._models[name], self._files[name] = None, file
             return
         try:
-            element = self.models.document(file)
+            scope = self.models.scope_of_file(file, name)
         except SceneError as e:
             self.builder.warn(f"{e}; left out", OmissionKind.UNSUPPORTED_ASSET)
             return
-        if element is not None:
-            self._elements[name] = (element, file)
+        if scope is not None:
+            self._models[name] = scope
 
     def _add_weld(self, content: dict[str, Any]) -> None:
         parent, child = str(content.get("parent", "world")), str(content.get("child", ""))
         model, _, frame = child.partition("::")
-        if model not in self._elements:
+        if model not in self._models:
             self.builder.warn(f"{self.path}: weld of {quoted(child)}: the model does not exist; left out")
             return
         base = self._frame(parent)
         if base is None:
             return
         T_world_child = base @ self._transform(content.get("X_PC") or {})
-        element = self._elements[model][0]
-        self._poses[model] = (
-            T_world_child if element is None else self.models.weld(element, T_world_child, frame, f"model {model}")
-        )
+        scope = self._models[model]
+        self._poses[model] = T_world_child if scope is None else T_world_child @ invert(scope.pose(frame))
 
     def _frame(self, name: str) -> F64 | None:
         """Returns T_world_frame (4, 4), or None after a warning."""
         if name in self._frames:
             return self._frames[name]
         model, _, frame = name.partition("::")
-        if model in self._elements:
-            element = self._elements[model][0]
-            within = np.eye(4) if element is None else self.models.frame(element, frame, f"model {model}")
+        if model in self._models:
+            scope = self._models[model]
+            within = np.eye(4) if scope is None else scope.pose(frame)
             return self._poses.get(model, np.eye(4)) @ within
         self.builder.warn(f"{self.path}: frame {quoted(name)} is unknown; models fixed to it are not moved")
         return None

@@ -12,7 +12,7 @@ from urllib.parse import unquote
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.formats.file_roots import is_inside
-from gibson_sim.formats.uris import environment_folders, installed_paths
+from gibson_sim.formats.uris import cached_models, environment_folders, installed_paths, missing_from_cache
 from gibson_sim.reading import exists, read_head
 
 MAX_BYTES = 512 * 1024 * 1024
@@ -34,8 +34,8 @@ def path_of(uri: str) -> Path | None:
     """Returns the path of a URI or a path, or None for a plain name.
 
     Args:
-        uri: ``file:///...``, ``package://<package>/...``, ``model://<model>/...``, or a path that starts with ``/``, ``./``, ``../``
-            or ``~``.
+        uri: ``file:///...``, ``package://<package>/...``, ``model://<model>/...``, the URL of a model on Gazebo Fuel, or a path that
+            starts with ``/``, ``./``, ``../`` or ``~``.
 
     Raises:
         SceneNotFoundError: the URI does not resolve to a file on this machine.
@@ -55,12 +55,18 @@ def path_of(uri: str) -> Path | None:
         return Path(path)
     if scheme.lower() in ("package", "model"):
         folders = environment_folders() if scheme.lower() == "model" else ()
-        candidates = [*(folder / path for folder in folders), *installed_paths(path)]
+        candidates = [*(folder / path for folder in folders), *installed_paths(path), *cached_models(unquote(uri))]
         existing = next((candidate for candidate in candidates if exists(candidate)), None)
         if existing is None:
             searched = "$AMENT_PREFIX_PATH, $GIBSON_SIM_PATH and $GZ_SIM_RESOURCE_PATH" if folders else "$AMENT_PREFIX_PATH"
             raise SceneNotFoundError(f"{uri}: does not exist (searched {searched})")
         return existing
+    cached = next((candidate for candidate in cached_models(unquote(uri)) if exists(candidate)), None)
+    if cached is not None:
+        return cached
+    missing = missing_from_cache(uri)
+    if missing:
+        raise SceneNotFoundError(f"{uri}: {missing}")
     if scheme.lower() in SCHEMES:
         raise SceneNotFoundError(f"{uri}: is not an absolute path; write file:///folder/name")
     raise SceneNotFoundError(

@@ -31,8 +31,10 @@ from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh_body import mesh_body
-from gibson_sim.scenes.sdf.body import MAX_LINKS, WORLD, SdfBodyReader
-from gibson_sim.scenes.sdf.model import SdfModels, sdf_files, sdf_version
+from gibson_sim.scenes.sdf.body import MAX_LINKS, SdfBodyReader
+from gibson_sim.scenes.sdf.elements import sdf_files, sdf_version
+from gibson_sim.scenes.sdf.model import SdfModels
+from gibson_sim.scenes.sdf.scopes import WORLD
 from gibson_sim.scenes.sources import MAX_BYTES, TEXT_FOLDER, check_file, check_inside, path_of, without_text_folder
 from gibson_sim.scenes.spawnables import Spawnable, built_in_spawnables, find_spawnables
 from gibson_sim.settings import nearest

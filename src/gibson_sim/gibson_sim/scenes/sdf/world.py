@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from gibson_sim.errors import SceneError
 from gibson_sim.formats.uris import UriResolver
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf.model import Element, SdfModels, numbers, read_sdf
+from gibson_sim.scenes.sdf.elements import F64, Element, numbers, read_sdf, sdf_version, text_of
+from gibson_sim.scenes.sdf.model import SdfModels
 from gibson_sim.scenes.spec import LightSpec, PointLight
 from gibson_sim.types import Vec3
 
@@ -46,6 +48,8 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
         SceneError: the document is not an SDF world.
     """
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None
+    if world is None and root.tag in ("sdf", "gazebo") and root.find("model") is not None:
+        world = _world_of_models(root)
     if world is None:
         raise SceneError(f"{path}: holds no <world>; name a world file or a mesh")
     if len(root.findall("world")) > 1:
@@ -55,50 +59,53 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
     if gravity is not None:
         builder.gravity = (gravity[0], gravity[1], gravity[2])
     models = SdfModels(builder, UriResolver(builder.root, path.parent))
-    builder.light = _light(world, models, builder.sdf_lamps)
+    scope = models.scope(world, world.get("name", ""), path.parent, sdf_version(root), path)
     for child in world:
-        if child.tag == "model":
-            name = child.get("name", "model")
-            models.model(child, models.placed(world, child, f"model {name}"), name, path.parent)
-        elif child.tag == "include":
-            _include(builder, models, world, child, path.parent)
+        frame = scope.nested.get(child)
+        if frame is not None and frame.inner is not None:
+            models.place(frame.inner, scope.origin(frame), frame.inner.name)
         elif child.tag in ("actor", "population", "road"):
             text = f"<{child.tag}> {quoted(child.get('name', ''))} is not supported; left out"
             builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+    lights = [(light, scope.placed(light)) for light in world.iterfind("light")]
+    lights += [(light, scope.placed(light, pose)) for light, pose in scope.lights] + models.lights
+    builder.light = _light(world, lights, builder.sdf_lamps)
 
 
-def _include(builder: SceneBuilder, models: SdfModels, world: Element, element: Element, base: Path) -> None:
-    """Adds an <include> of the world; Gazebo's sun and ground plane are built in."""
-    uri = (element.findtext("uri") or "").strip().rstrip("/")
-    known = uri.rpartition("/")[2].lower().replace("_", " ")
-    if known == "sun" and models.uris.find(uri, base) is None:
-        return
-    if known == "ground plane" and models.uris.find(uri, base) is None:
-        height = float(models.placed(world, element, "ground_plane")[2, 3])
-        builder.ground_z = height if builder.ground_z is None else max(height, builder.ground_z)
-        return
-    models.include(element, np.eye(4), (element.findtext("name") or "").strip(), base, 0, world)
+def _world_of_models(root: Element) -> Element:
+    """Returns a <world> with the models of an SDF file, on Gazebo's ground plane."""
+    world = ElementTree.Element("world", name=root.findall("model")[0].get("name", ""))
+    ElementTree.SubElement(ElementTree.SubElement(world, "include"), "uri").text = "model://ground_plane"
+    world.extend(root.findall("model"))
+    return world
 
 
-def _light(world: Element, models: SdfModels, with_lamps: bool) -> LightSpec:
-    """Returns the light of a world: the first directional light, point and spot lights, ambient light and background."""
+def _light(world: Element, all_lights: list[tuple[Element, F64]], with_lamps: bool) -> LightSpec:
+    """Returns the light of a world: the first directional light, point and spot lights, ambient light and background.
+
+    Args:
+        world: the <world>.
+        all_lights: lights, each with T_world_light, (4, 4).
+        with_lamps: whether point and spot lights are read.
+    """
     default = LightSpec()
     ambient_rgb = numbers(world.findtext("scene/ambient"), (3, 4))
     ambient = default.ambient if ambient_rgb is None else float(np.clip(np.mean(ambient_rgb[:3]), 0.0, 1.0))
-    lights = [light for light in world.iterfind("light") if (light.findtext("diffuse") or "").strip()]
+    lights = [(light, matrix) for light, matrix in all_lights if text_of(light, "diffuse")]
     lamps: tuple[PointLight, ...] = ()
     if with_lamps:
-        lamps = tuple(filter(None, (_lamp(models, world, light) for light in lights if light.get("type") in ("point", "spot"))))
-    elif any(light.get("type") != "directional" for light in lights):
+        lamps = tuple(filter(None, (_lamp(*light) for light in lights if light[0].get("type") in ("point", "spot"))))
+    elif any(light.get("type") != "directional" for light, _ in lights):
         # Point and spot lights cast no shadows: each would light the whole house through its walls.
         ambient = max(ambient, default.ambient)
     ambient = max(ambient, _MIN_AMBIENT)
-    sun = next((light for light in lights if light.get("type") == "directional"), None)
+    sun, T_world_sun = next(((light, T) for light, T in lights if light.get("type") == "directional"), (None, np.eye(4)))
     direction, strength, color = default.sun_direction, 0.0 if lamps else default.sun, default.sun_color
     if sun is not None:
         values = numbers(sun.findtext("direction"), (3,))
         if values is not None and any(values):
-            direction = (values[0], values[1], values[2])
+            x, y, z = (T_world_sun[:3, :3] @ values).tolist()
+            direction = (x, y, z)
         color, diffuse = _color_and_strength(sun)
         strength = _SUN * diffuse
     rgb = numbers(world.findtext("scene/background"), (3, 4))
@@ -117,14 +124,13 @@ def _color_and_strength(light: Element) -> tuple[Vec3, float]:
     return ((rgb[0] / brightest, rgb[1] / brightest, rgb[2] / brightest), mean) if brightest > 0.0 else ((1.0, 1.0, 1.0), 0.0)
 
 
-def _lamp(models: SdfModels, world: Element, light: Element) -> PointLight | None:
-    """Returns a point or spot light; None if it is off, or a number is invalid."""
+def _lamp(light: Element, matrix: F64) -> PointLight | None:
+    """Returns a point or spot light at T_world_light, ``matrix`` (4, 4); None if it is off, or a number is invalid."""
     color, strength = _color_and_strength(light)
     parts = [numbers(light.findtext(f"attenuation/{part}"), (1,)) for part in ("constant", "linear", "quadratic")]
     a, b, c = (max(part[0], 0.0) if part else 0.0 for part in parts)
     if strength <= 0.0 or not (a or b or c or not any(parts)):
         return None
-    matrix = models.placed(world, light, f"light {light.get('name', '')}")
     light_range = numbers(light.findtext("attenuation/range"), (1,))
     spot: dict[str, Any] = {}
     if light.get("type") == "spot":
