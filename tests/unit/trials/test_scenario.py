@@ -200,6 +200,11 @@ def test_a_wrong_value_is_told_with_the_path_of_its_key(tmp_path: Path, text: st
         ("command: python\n  status: {reached: '('}", "status.reached is '(': is not a regular expression"),
         ("command: python\n  lockstep: cmd_vel sometimes", "lockstep is 'cmd_vel sometimes', must be a rule of lockstep"),
         ("command: python\n  lockstep: [cmd_vel after odom, cmd_vel after scan]", "lockstep[1] is 'cmd_vel after scan', a second rule"),
+        (
+            "command: python\n  allowed_calls: [set_entity_stat]",
+            "allowed_calls[0] is 'set_entity_stat', must be one of set_simulation_state, reset_simulation,",
+        ),
+        ("command: python\n  allowed_calls: [spawn_entity, jump]", "allowed_calls[1] is 'jump', must be one of set_simulation_state, "),
         ("command: python\n  goal: {}", "goal has none of topic, action and service, must have one"),
         ("command: python\n  goal: {topic: a, action: b}", "goal has topic and action, must have one"),
         ("command: python\n  goal: {action: go}", "goal.type is missing, must be an action type"),

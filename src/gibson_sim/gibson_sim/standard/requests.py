@@ -7,6 +7,19 @@ from enum import IntFlag
 
 EPOCH_REQUESTS = ("reset_simulation", "set_simulation_state", "load_world")
 """Services that may begin a new epoch, in which steps are counted from 0."""
+CHANGING_REQUESTS = (
+    "set_simulation_state",
+    "reset_simulation",
+    "set_entity_state",
+    "spawn_entity",
+    "spawn_entities",
+    "delete_entity",
+    "load_world",
+    "unload_world",
+)
+"""Services that change the state of the simulation, not only its timing; the journal records their requests."""
+CONTROLS = (*CHANGING_REQUESTS, "step_simulation", "simulate_steps", "set_parameters", "object_joint_command")
+"""Last parts of the names of all services, actions and topics that change the world or how its time passes, except commands of robots."""
 
 
 class ResetScope(IntFlag):

@@ -127,6 +127,8 @@ class Outcome:
     """Exit code of the stack if it ended by itself; negative = the signal."""
     status: str = ""
     """Latest text on the status topic."""
+    callers: dict[str, list[str]] = field(default_factory=dict)
+    """Service, action or topic that changes the world or its time -> nodes outside the simulation that had a client or publisher of it."""
     refused_commands: int = 0
     """Number of rejected commands: not finite, or malformed."""
     start_up_s: float = 0.0
@@ -155,6 +157,7 @@ class Verdict:
 
 
 CauseKind = Literal[
+    "foreign call",
     "simulation failed",
     "stack died",
     "never ready",

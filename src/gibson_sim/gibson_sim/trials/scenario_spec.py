@@ -152,6 +152,8 @@ class StackSpec:
     status: Status = Status()
     lockstep: tuple[str, ...] = ()
     """Lockstep rules such as ``cmd_vel every 0.05`` or ``cmd_vel after odom``, see docs/lockstep.md; none = runs in real time."""
+    allowed_calls: tuple[str, ...] = ()
+    """Services, actions and topics with which the stack may change the world or its time, such as ``set_entity_state``; others fail the run."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ import heapq
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
@@ -44,6 +45,7 @@ class Journal:
 
     Publishes:
         inputs (gibson_msgs/Input): every command and request that changed the simulation, with the first step at which it is in effect.
+        time_control (gibson_msgs/Input): every request that changed only how time passes, such as a pause; a replay leaves it out.
 
     Subscribes:
         inputs_at (gibson_msgs/Input): inputs to apply at their step; a late one is applied immediately, with a warning.
@@ -53,6 +55,7 @@ class Journal:
         """Creates the topics; ``on_received`` is called with the topic of each input that arrives."""
         self._simulator, self._on_received = simulator, on_received
         self._publisher = node.create_publisher(Input, names.INPUTS, **qos.overridable(qos.INPUTS))
+        self._timing_publisher = node.create_publisher(Input, names.TIME_CONTROL, **qos.overridable(qos.INPUTS))
         self._topic = node.resolve_topic_name(names.INPUTS_AT)
         node.create_subscription(Input, names.INPUTS_AT, self._on_input, qos.INPUTS_AT)
         self._scheduled: list[_ScheduledInput] = []
@@ -62,15 +65,31 @@ class Journal:
         """Number of inputs that arrived after their step."""
 
     def record(self, name: str, message: Any) -> None:
-        """Publishes an input that takes effect at the next step, if ``inputs`` has subscribers."""
-        if not self._publisher.get_subscription_count():
-            return
+        """Publishes a command that takes effect at the next step, if ``inputs`` has subscribers."""
+        if self._publisher.get_subscription_count():
+            self._publisher.publish(self._input(name, message))
+
+    def entry(self, name: str, request: Any, *, timing_only: bool) -> Callable[[], None]:
+        """Returns a function that publishes a request, with the present step as the one at which it takes effect.
+
+        Args:
+            name: full name of the service.
+            request: its request.
+            timing_only: whether it changes only how time passes.
+        """
+        if timing_only:
+            return partial(self._timing_publisher.publish, self._input(name, request))
+        # Before the first step the recorder may be on its way: it receives the latched messages.
+        is_wanted = self._publisher.get_subscription_count() or (self._simulator.epoch, self._simulator.epoch_step) == (0, 0)
+        return partial(self._publisher.publish, self._input(name, request)) if is_wanted else lambda: None
+
+    def _input(self, name: str, message: Any) -> Input:
         simulator, type_name = self._simulator, type_name_of(type(message))
         world = simulator.world
         header = conversions.header_to_msg(0 if world is None else world.stamp_ns, "")
         out = Input(header=header, epoch=simulator.epoch, step=simulator.epoch_step, name=name, type=type_name)
         out.data = serialize_message(message)
-        self._publisher.publish(out)
+        return out
 
     def _on_input(self, msg: Any) -> None:
         try:

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 from rclpy.node import Node
@@ -116,9 +117,7 @@ class PhysicsNode(Node):
             self._gate.subscribe(self._stamped)
         # After all other subscriptions, as run_info after all other publishers: DDS announces either in the order of their creation, so
         # that a program which discovers both knows the whole node.
-        self._sim_services = SimulationServices(
-            self, self.simulator, config.service_prefix, self._journal.record, config.lockstep
-        )
+        self._sim_services = SimulationServices(self, self.simulator, config.service_prefix, self._journal, config.lockstep)
         note_in_job(LOADED, loaded_note(self.simulator.scene, self._world_topics.cameras))
         spec = self.simulator.scene
         self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)
@@ -143,6 +142,8 @@ class PhysicsNode(Node):
                 if self._images is not None:
                     self._images.enable(self._config.rate == 0.0)
                 self._set_timer()
+                request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
+                self._journal.entry(self.resolve_service_name("~/set_parameters"), request, timing_only=True)()
         return SetParametersResult(successful=True)
 
     # Changes of the scene

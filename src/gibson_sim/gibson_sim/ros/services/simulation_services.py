@@ -27,6 +27,7 @@ from simulation_interfaces.msg import SpawnResult
 from gibson_sim import __version__
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.quoting import quoted
+from gibson_sim.ros.lockstep.journal import Journal
 from gibson_sim.ros.services import simulation_conversions as convert
 from gibson_sim.ros.services.deferred import DeferredResponse, DeferredService, RequestQueue
 from gibson_sim.scenes.spawning import SPAWN_FORMATS
@@ -35,28 +36,17 @@ from gibson_sim.standard import catalogue
 from gibson_sim.standard.codes import Result, SimulationError, SpawnEntitiesCode, shortened
 from gibson_sim.standard.features import supported_features
 from gibson_sim.standard.population import PreloadedResource
-from gibson_sim.standard.requests import LoadRequest, WorldInfo
+from gibson_sim.standard.requests import CHANGING_REQUESTS, LoadRequest, WorldInfo
 from gibson_sim.standard.simulator import Simulator
 from gibson_sim.standard.states import SimulationState
 from gibson_sim.standard.stepping import StepRequest
 
 logger = logging.getLogger(__name__)
 
-_CHANGING = frozenset(
-    {
-        "set_simulation_state",
-        "reset_simulation",
-        "set_entity_state",
-        "spawn_entity",
-        "spawn_entities",
-        "delete_entity",
-        "load_world",
-        "unload_world",
-    }
-)
-"""Services that change the state of the simulation, not only its timing; the journal records their requests."""
 _CHANGING_STATES = (SimulationState.STOPPED, SimulationState.PLAYING)
 """States whose request changes the simulation: stopping resets it, and playing starts a loaded world; pausing changes nothing."""
+_TIMING = ("set_simulation_state", "step_simulation", "simulate_steps")
+"""Services and actions whose requests change how time passes, if they change nothing else."""
 _SPAWNING = frozenset({"spawn_entity", "spawn_entities"})
 """Services whose requests name files; their handlers get the preloaded resources."""
 _Handler = Callable[..., DeferredResponse | str | None]
@@ -83,7 +73,7 @@ class SimulationServices:
         node: Node,
         simulator: Simulator,
         prefix: str = "",
-        record: Callable[[str, Any], None] = lambda name, request: None,
+        journal: Journal | None = None,
         lockstep: bool = False,
     ) -> None:
         """Creates the services. The node must be added to an executor.
@@ -92,11 +82,12 @@ class SimulationServices:
             node: node of the services.
             simulator: simulator that they control.
             prefix: prefix of the service names; it may contain a namespace, such as ``sim/``.
-            record: called with the service name and the request before a request changes the simulation.
+            journal: publishes the requests that changed the simulation or how time passes; None = they are not published.
             lockstep: whether time waits while the files of spawned entities are read, so that the step at which they appear does not depend
                 on the reading time. Otherwise time passes meanwhile, and later requests are queued.
         """
-        self._node, self._simulator, self._prefix, self._record = node, simulator, prefix, record
+        self._node, self._simulator, self._prefix = node, simulator, prefix
+        self._journal = journal
         self._closed, self._quit_s, self._preloads = False, -math.inf, not lockstep
         self._requests = RequestQueue(self._run_soon)
         self._goals: dict[bytes, StepRequest] = {}
@@ -168,7 +159,7 @@ class SimulationServices:
             ConfigError: the service does not exist.
         """
         for kind, service, handler in self._table():
-            if self._node.resolve_service_name(f"{self._prefix}{service}") == name:
+            if self._full_name(service) == name:
                 response = self._handle(service, handler, request, kind.Response())
                 if not isinstance(response, DeferredResponse) and response.result.result != Result.OK:
                     logger.warning("%s, replayed from a recording: %s", name, response.result.error_message)
@@ -192,13 +183,26 @@ class SimulationServices:
 
     def _handle(self, name: str, handler: _Handler, request: Any, response: Any, preloaded: Any = None) -> Any:
         """Returns the response to a request, or a DeferredResponse. A handler returns None or a remark if it succeeds immediately."""
-        if _changes(name, request):
-            self._record(self._node.resolve_service_name(f"{self._prefix}{name}"), request)
+        publish = self._entry(name, request)
         try:
             outcome = handler(request, response, preloaded) if name in _SPAWNING else handler(request, response)
-        except Exception as error:
+        except SimulationError as error:  # refused: nothing has changed
             return failed(response, error)
+        except Exception as error:
+            publish()
+            return failed(response, error)
+        publish()
         return outcome if isinstance(outcome, DeferredResponse) else succeeded(response, outcome or "")
+
+    def _entry(self, name: str, request: Any) -> Callable[[], None]:
+        """Returns a function that publishes a request in the journal, with the present step, if it belongs there."""
+        changes = _changes(name, request)
+        if self._journal is None or not (changes or name in _TIMING):
+            return lambda: None
+        return self._journal.entry(self._full_name(name), request, timing_only=not changes)
+
+    def _full_name(self, name: str) -> str:
+        return self._node.resolve_service_name(f"{self._prefix}{name}")
 
     def _run_soon(self, function: Callable[..., Any], *arguments: Any) -> None:
         if not self._closed:
@@ -386,6 +390,7 @@ class SimulationServices:
     def _on_goal(self, goal: Any) -> None:
         """Requests the steps of an accepted goal; for rclpy, the goal executes once they are done."""
         key = bytes(goal.goal_id.uuid)
+        publish = self._entry("simulate_steps", goal.request)
 
         def on_progress(work: StepRequest) -> None:
             goal.publish_feedback(SimulateSteps.Feedback(completed_steps=work.completed, remaining_steps=work.remaining))
@@ -399,6 +404,7 @@ class SimulationServices:
         except SimulationError as error:
             end_goal(goal, error)
             return
+        publish()
         if not work.ended:
             self._goals[key] = work
 
@@ -447,7 +453,7 @@ def end_goal(goal: Any, error: SimulationError | None) -> None:
 
 def _changes(name: str, request: Any) -> bool:
     """Returns whether a request changes the state of the simulation, not only its timing."""
-    return name in _CHANGING and not (name == "set_simulation_state" and request.state.state not in _CHANGING_STATES)
+    return name in CHANGING_REQUESTS and not (name == "set_simulation_state" and request.state.state not in _CHANGING_STATES)
 
 
 def _unused(_: Any) -> Any:

@@ -34,6 +34,7 @@ TICK_DONE = "tick_done"
 TICK_DIGEST = "tick_digest"
 INPUTS = "inputs"
 INPUTS_AT = "inputs_at"
+TIME_CONTROL = "time_control"
 RUN_INFO = "run_info"
 
 ODOM_FRAME = "odom"

@@ -25,7 +25,7 @@ from sensor_msgs.msg import JointState
 from simulation_interfaces import msg as sim_msg, srv
 from std_msgs.msg import String
 
-from gibson_msgs.msg import Scene
+from gibson_msgs.msg import Input, Scene
 from gibson_sim.client_config import TrialConfig
 from gibson_sim.errors import ConfigError, EnvironmentProblemError, GibsonSimError
 from gibson_sim.processes.descendants import any_runs, marked, siblings
@@ -40,10 +40,12 @@ from gibson_sim.ros.recording.raw_subscriptions import recording_profile
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, service_class
+from gibson_sim.standard.requests import CHANGING_REQUESTS
 from gibson_sim.trials.execution.monitor import Decision, RunMonitor
 from gibson_sim.trials.execution.node_settings import POSE_TYPE
 from gibson_sim.trials.execution.plan import CLOCK, IMAGES, MARKER, PROGRESS, TrialPlan, TrialReport
 from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, person_urdf
+from gibson_sim.trials.foreign_calls import JournalEntry
 from gibson_sim.trials.records import REFUSED_GOAL, PlanarPose
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
 
@@ -67,6 +69,19 @@ _POLL_S = 0.1
 """Period of the checks of the ROS graph and of processes, s of wall time."""
 _PROGRESS_S = 0.5
 """Period of progress reports, s of wall time."""
+_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""Name of a node of which only endpoints have been discovered yet."""
+_MAX_CALLERS = 10
+"""Largest number of nodes that are noted as callers of one service."""
+CALL_TOPICS = {
+    name: tuple((f"rq/{path}Request", False) for path in paths)
+    for name, paths in {
+        **{name: (name,) for name in (*CHANGING_REQUESTS, "step_simulation")},
+        "simulate_steps": ("simulate_steps/_action/send_goal",),
+        "set_parameters": ("physics/set_parameters", "physics/set_parameters_atomically"),
+    }.items()
+} | {names.OBJECT_JOINT_COMMAND: ((f"/{names.OBJECT_JOINT_COMMAND}", True),)}
+"""Each of ``CONTROLS`` -> topics on which its requests arrive, each with whether ROS mangles its name in DDS."""
 _HANDLES = ("handle", "lever", "knob")
 """Suffixes of the names of joints that belong to handles, not to doors."""
 _OK = sim_msg.Result.RESULT_OK
@@ -83,6 +98,7 @@ class TrialNode(Node):
 
     Subscribes:
         ground_truth/odom (nav_msgs/Odometry): the ticks, and the pose of the robot. scene (gibson_msgs/Scene, latched): cameras.
+        time_control (gibson_msgs/Input): what other nodes change about time.
         The topics by which the stack reports its readiness and its status (std_msgs/String).
 
     Publishes:
@@ -115,6 +131,8 @@ class TrialNode(Node):
         """IDs of the other processes of the run that ran at each of these checks: they may not have received the last answer of the stack."""
         self._reported_s = 0.0
         """Monotonic time of the last progress report, s."""
+        self._watched_s = 0.0
+        """Monotonic time at which the clients of the services of the simulation were last looked up, s."""
         self._graph: tuple[set[str], float] = (set(), self._start_s)
         """All discovered names, and monotonic time since which they have not changed, s."""
         self._scene: Any = None
@@ -133,6 +151,7 @@ class TrialNode(Node):
         plan = self._plan
         self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_truth, qos.STATE)
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
+        self.create_subscription(Input, names.TIME_CONTROL, self._on_time_control, qos.INPUTS)
         if plan.status.topic:
             self.create_subscription(String, plan.status.topic, lambda msg: self._monitor.receive_status(msg.data), qos.COMMAND)
         if plan.run.closed_doors:
@@ -366,6 +385,13 @@ class TrialNode(Node):
         else:
             self._tick_done(msg.header.stamp)
 
+    def _on_time_control(self, msg: Any) -> None:
+        """Ends the run if another node has changed how time passes without a right to: in a paused simulation no tick would end it."""
+        stamp_ns = conversions.time_from_msg(msg.header.stamp)
+        entry = JournalEntry(stamp_ns, msg.step, msg.name, bytes(msg.data))
+        if self._decision is None and entry.kind not in self._plan.allowed_calls:
+            self._decision = Decision("simulation failed", f"foreign call: another node called {entry.description}", stamp_ns)
+
     def _tick_done(self, stamp: Any) -> None:
         if self._lockstep is not None:
             self._lockstep.tick_done(stamp)
@@ -420,8 +446,24 @@ class TrialNode(Node):
             self._executor.spin_once(timeout_sec=min(0.02, remaining_s))
         return condition()
 
+    def _watch_callers(self) -> None:
+        """Notes which other nodes can change the world or its time: a request does not say who sent it."""
+        callers = self._report.callers
+        for name, topics in CALL_TOPICS.items():
+            known = callers.get(name, [])
+            for topic, is_mangled in topics:
+                for info in self.get_publishers_info_by_topic(topic, no_mangle=not is_mangled):
+                    node = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                    is_other = info.node_name not in SIMULATOR_NODES and info.node_name != _UNKNOWN_NODE
+                    if is_other and node not in known and len(known) < _MAX_CALLERS:
+                        known = callers.setdefault(name, known)
+                        known.append(node)
+
     def _report_progress(self) -> None:
         now_s = time.monotonic()
+        if now_s - self._watched_s > _POLL_S:
+            self._watched_s = now_s
+            self._watch_callers()
         if now_s - self._reported_s > _PROGRESS_S:
             self._reported_s = now_s
             note_in_job(PROGRESS, self._monitor.progress)
@@ -429,6 +471,8 @@ class TrialNode(Node):
 
     def close(self) -> None:
         """Writes the report. The node does not leave lockstep, so that time stands still until the simulation ends."""
+        if is_running():
+            self._watch_callers()
         report, decision, monitor = self._report, self._decision, self._monitor
         if decision is not None:
             report.end, report.detail, report.decided_ns = decision.end, decision.detail, decision.decided_ns

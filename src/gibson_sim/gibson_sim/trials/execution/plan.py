@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from gibson_sim.trials.records import RunSpec
@@ -33,6 +33,8 @@ class TrialPlan:
     limits: Limits
     reached: Reached | None
     lockstep: bool
+    allowed_calls: tuple[str, ...]
+    """See ``StackSpec.allowed_calls``."""
     answers: tuple[str, ...]
     """Topics of the lockstep rules, on which the stack answers."""
     marker: str = ""
@@ -54,6 +56,7 @@ class TrialPlan:
             scenario.limits,
             scenario.verdicts.reached,
             bool(stack.lockstep),
+            stack.allowed_calls,
             answers,
             marker,
             KEPT_NS if kept else 0,
@@ -76,6 +79,7 @@ class TrialPlan:
             Limits(**values["limits"]),
             Reached(**values["reached"]) if values["reached"] else None,
             values["lockstep"],
+            tuple(values["allowed_calls"]),
             tuple(values["answers"]),
             values["marker"],
             values["goal_from_ns"],
@@ -103,6 +107,8 @@ class TrialReport:
     decided_ns: int = -1
     end_ns: int = -1
     status: str = ""
+    callers: dict[str, list[str]] = field(default_factory=dict)
+    """See ``records.Outcome.callers``."""
     began_s: float = 0.0
     """Time of arrival of the first tick; 0 = none."""
     ended_s: float = 0.0

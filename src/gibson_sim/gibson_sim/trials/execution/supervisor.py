@@ -281,6 +281,7 @@ class _Run:
             end_ns=report.end_ns,
             exit_code=self._stack_code,
             status=report.status,
+            callers=report.callers,
             refused_commands=summary.get("refused_commands", 0),
             start_up_s=round(began_s - self._began_s, 3),
             running_s=round(ended_s - began_s, 3),

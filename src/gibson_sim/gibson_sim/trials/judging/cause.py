@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gibson_sim.quoting import clipped
+from gibson_sim.trials.foreign_calls import ForeignCalls
 from gibson_sim.trials.judging.events import GRID_S, PLAN_NEAR_M, Event, collision, find_events
 from gibson_sim.trials.judging.evidence import Evidence, errors
 from gibson_sim.trials.judging.measures import Measured
@@ -40,7 +41,7 @@ _MAX_LENGTH = 300
 """Largest length of a quoted text in a cause, characters."""
 
 _RANKS: tuple[CauseKind, ...] = (
-    "simulation failed", "never ready", "localisation jumped", "localisation off", "plan through obstacle", "bad command", "slipped",
+    "foreign call", "simulation failed", "never ready", "localisation jumped", "localisation off", "plan through obstacle", "bad command", "slipped",
     "command ignored", "collision", "blocked", "no plan", "no command", "stack silent", "stack died", "gave up", "too slow", "unknown",
     "verdict",
 )  # fmt: skip
@@ -86,9 +87,18 @@ def cause_without_bag(outcome: Outcome, why: str) -> Cause:
 
 
 def find_cause(
-    scenario: Scenario, run: RunSpec, outcome: Outcome, evidence: Evidence, measured: Measured, verdicts: Sequence[Verdict]
+    scenario: Scenario,
+    run: RunSpec,
+    outcome: Outcome,
+    evidence: Evidence,
+    measured: Measured,
+    verdicts: Sequence[Verdict],
+    foreign: ForeignCalls | None = None,
 ) -> Cause | None:
-    """Returns the cause of failure of a run with a goal and a bag; None = all its verdicts passed."""
+    """Returns the cause of failure of a run with a goal and a bag; None = all its verdicts passed.
+
+    Foreign calls are the cause whatever happened before them: a world that others change says nothing about the stack.
+    """
     failures = [_failure(v, scenario, run, outcome, evidence, measured) for v in verdicts if not v.passed]
     if not failures:
         return None
@@ -104,7 +114,11 @@ def find_cause(
         caused = [failure.itself for failure in failures if _is_caused_by(failure, event, run, evidence)]
         causes += [(event, min(caused, key=lambda failure: failure.begin))] if caused else []
     causes.sort(key=_sort_key)
-    return _cause([event for event, _ in causes], run)
+    found = [event for event, _ in causes]
+    if foreign is not None:
+        call = _at("foreign call", foreign.time, foreign.what, evidence)
+        found = [call, *(event for event in found if event.begin >= call.begin)]
+    return _cause(found, run)
 
 
 def _sort_key(cause: tuple[Event, Event]) -> tuple[object, ...]:
@@ -119,7 +133,8 @@ def _cause(events: list[Event], run: RunSpec) -> Cause:
     if first.kind == "verdict":
         return Cause(first.kind, first.what, first.begin)
     where = "" if first.xy is None else f", {place_text(run, *first.xy)}"
-    text = f"after {first.begin:.1f} s{where}: {first.what}"
+    when = f"after {first.begin:.1f} s" if first.begin >= 0.0 else f"{-first.begin:.1f} s before the goal"
+    text = f"{when}{where}: {first.what}"
     following, named_kinds = 0, {str(first.kind)}
     for event in events[1:]:
         if event.kind in named_kinds or event.kind in _UNINFORMATIVE or following == _MAX_FOLLOWING:

@@ -23,6 +23,8 @@ from gibson_sim.bags.reader import BagReader, TopicInfo
 from gibson_sim.bags.stamps import header_stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
+from gibson_sim.standard.requests import CONTROLS
+from gibson_sim.trials.foreign_calls import TIME_CONTROL, JournalEntry
 from gibson_sim.trials.judging.digest import RunDigest
 from gibson_sim.trials.records import Outcome
 from gibson_sim.types import NS_PER_S
@@ -134,6 +136,8 @@ class Evidence:
     """Requested topic -> number of messages from the goal until the run was decided."""
     topics: tuple[str, ...]
     """All topics with messages."""
+    calls: tuple[JournalEntry, ...]
+    """Requests up to the end that changed the world or how its time passes, those before the goal included, see ``CONTROLS``."""
     digest: str
     """See ``RunDigest``."""
     first: float
@@ -177,6 +181,7 @@ class _Rows:
     odom_from_base: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
     """Child frame -> poses from tf in the odom frame."""
     applied: list[float] = field(default_factory=list)
+    calls: list[JournalEntry] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
 
 
@@ -221,7 +226,7 @@ class _Reading:
         required |= {self._plan_topic} & set(self._infos)
         for topic, info in self._infos.items():
             last = topic.rpartition("/")[2]
-            named = {INPUT: ("inputs",), roles.TF: ("tf", "tf_static")}.get(info.type_name, ())
+            named = {INPUT: ("inputs", TIME_CONTROL), roles.TF: ("tf", "tf_static")}.get(info.type_name, ())
             if info.type_name == DIGEST or last in named:
                 required.add(topic)
         return sorted(required)
@@ -246,8 +251,7 @@ class _Reading:
             elif info.type_name == DIGEST:
                 self._digest.add(self._bag.decode(info.type_name, data))
             elif info.type_name == INPUT:
-                if has_goal:
-                    self._add_input(t, self._bag.decode(info.type_name, data))
+                self._add_input(t, self._bag.decode(info.type_name, data))
             elif info.type_name == roles.TF:
                 self._add_transforms(t, self._bag.decode(info.type_name, data))
             elif self._touches.needs(topic):
@@ -276,7 +280,12 @@ class _Reading:
 
     def _add_input(self, t: float, msg: Any) -> None:
         if msg.type in _TWISTS and msg.name.rpartition("/")[2] == "cmd_vel":
-            self._rows.applied.append(t)
+            self._rows.applied += [t] if t >= 0.0 else []
+            return
+        stamp_ns = header_stamp_ns(msg.header.stamp)
+        entry = JournalEntry(stamp_ns, int(msg.step), str(msg.name), bytes(bytearray(msg.data)))
+        if entry.kind in CONTROLS:
+            self._rows.calls.append(entry)
 
     def _add_transforms(self, t: float, msg: Any) -> None:
         """Stores map -> odom with its time of arrival, and odom -> base with its stamp."""
@@ -323,6 +332,7 @@ class _Reading:
             floor=_floor(self._map, self._maps[0] if self._maps else ""),
             counts=self._counts,
             topics=tuple(self._infos),
+            calls=tuple(rows.calls),
             digest=self._digest.hexdigest(self._end_ns),
             first=self._seconds(self._first_ns),
             last=self._seconds(self._last_ns),

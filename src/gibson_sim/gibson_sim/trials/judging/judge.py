@@ -6,11 +6,12 @@ from pathlib import Path
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import clipped
+from gibson_sim.trials.foreign_calls import foreign_calls
 from gibson_sim.trials.judging.cause import cause_without_bag, find_cause
 from gibson_sim.trials.judging.evidence import read_evidence
 from gibson_sim.trials.judging.measures import measure
 from gibson_sim.trials.judging.verdicts import NOT_JUDGED, failed_verdicts, verdicts_of
-from gibson_sim.trials.records import Outcome, RunResult, RunSpec
+from gibson_sim.trials.records import Cause, Outcome, RunResult, RunSpec
 from gibson_sim.trials.scenario_spec import Scenario
 
 _MAX_LENGTH = 400
@@ -39,11 +40,15 @@ def judge(scenario: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> R
             f"bag {bag} contains invalid values ({type(error).__name__}: {clipped(str(error), _MAX_LENGTH)})",
         )
     digest = "" if evidence is None else evidence.digest
+    foreign = None if evidence is None else foreign_calls(scenario, run, outcome, evidence.calls)
     if evidence is None or outcome.goal_ns < 0:
         why = f"{outcome.end}: {outcome.detail}" if outcome.end in (*NOT_JUDGED, "stack died") or not problem else problem
+        if foreign is not None:
+            why = f"{outcome.end}, {foreign.what}"
         verdicts = failed_verdicts(scenario, outcome, why)
-        return RunResult(run, outcome, verdicts, {}, digest, cause_without_bag(outcome, why))
+        why_failed = cause_without_bag(outcome, why) if foreign is None else Cause("foreign call", foreign.what)
+        return RunResult(run, outcome, verdicts, {}, digest, why_failed)
     measured = measure(run, outcome, evidence)
-    verdicts = verdicts_of(scenario, run, outcome, evidence, measured, bag)
-    cause = find_cause(scenario, run, outcome, evidence, measured, verdicts)
+    verdicts = verdicts_of(scenario, run, outcome, evidence, measured, bag, foreign)
+    cause = find_cause(scenario, run, outcome, evidence, measured, verdicts, foreign)
     return RunResult(run, outcome, verdicts, measured.values, digest, cause)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.plots.touches import Touch
+from gibson_sim.trials.foreign_calls import ForeignCalls
 from gibson_sim.trials.judging.evidence import Evidence, Poses
 from gibson_sim.trials.judging.measures import Measured
 from gibson_sim.trials.judging.predicates import predicate_verdict
@@ -48,11 +49,17 @@ def failed_verdicts(scenario: Scenario, outcome: Outcome, why: str) -> tuple[Ver
 
 
 def verdicts_of(
-    scenario: Scenario, run: RunSpec, outcome: Outcome, evidence: Evidence, measured: Measured, bag: Path
+    scenario: Scenario,
+    run: RunSpec,
+    outcome: Outcome,
+    evidence: Evidence,
+    measured: Measured,
+    bag: Path,
+    foreign: ForeignCalls | None = None,
 ) -> tuple[Verdict, ...]:
-    """Returns all verdicts of a run with a goal and a bag."""
+    """Returns all verdicts of a run with a goal and a bag; ``foreign``: what changed the world and was not the trial."""
     limits, truth = scenario.verdicts, evidence.truth
-    verdicts = [_run(outcome, evidence)]
+    verdicts = [_run(outcome, evidence, foreign)]
     if limits.reached is not None:
         verdicts.append(_reached(limits.reached, outcome, measured))
     if limits.collisions is not None:
@@ -102,8 +109,10 @@ def is_alive(outcome: Outcome) -> bool:
     return outcome.exit_code is None or outcome.end in ("reached", "gave up")
 
 
-def _run(outcome: Outcome, evidence: Evidence) -> Verdict:
-    """Judges whether the run was completed and recorded without a gap at its beginning or end."""
+def _run(outcome: Outcome, evidence: Evidence, foreign: ForeignCalls | None) -> Verdict:
+    """Judges whether the run was completed, by the trial alone, and recorded without a gap at its beginning or end."""
+    if foreign is not None:
+        return Verdict(RUN, False, foreign.what, foreign.time)
     if outcome.end in NOT_JUDGED:
         return Verdict(RUN, False, f"{outcome.end}: {outcome.detail}")
     missing = evidence.duration - evidence.last

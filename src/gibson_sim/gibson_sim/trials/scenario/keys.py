@@ -16,6 +16,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.field_docs import field_docs
 from gibson_sim.settings import nearest
 from gibson_sim.standard.lockstep import parse_participants
+from gibson_sim.standard.requests import CONTROLS
 from gibson_sim.trials.scenario.kinds import (
     Choice,
     CommandLine,
@@ -188,6 +189,7 @@ _STACK = Section(StackSpec, {
     "goal": _Goal(),
     "status": Section(Status, {"topic": _or_none(_TOPIC), "reached": _REGEX, "failed": _REGEX}),
     "lockstep": ListOf(Text(_RULE, r"[A-Za-z0-9_./-]+\s+(after|every)\s+\S.*", _rule_problem), 20, 0),
+    "allowed_calls": ListOf(Choice(CONTROLS), len(CONTROLS), 0),
 })  # fmt: skip
 
 _OBSTACLES = Section(Obstacles, {
