@@ -423,6 +423,16 @@ def test_a_name_of_a_node_is_not_broken_within_a_word(page: Any) -> None:
         assert too_wide == 0 and count > 1, "a name wider than the panel is broken"
 
 
+def test_a_long_name_breaks_between_its_words(page: Any) -> None:
+    breaks = """async (name) => {
+        const { nameElement } = await import('/page/dom.js'), e = nameElement(name);
+        return [e.textContent, e.innerHTML]; }"""
+    assert page.evaluate(breaks, "bedroom_1_cabinet/a<b>") == [
+        "bedroom_1_cabinet/a<b>",
+        "bedroom_<wbr>1_<wbr>cabinet/<wbr>a&lt;b&gt;",
+    ]
+
+
 def _reset(page: Any, listener: Listener) -> None:
     """Brings the robot back to its start: where the tests before have left it, it may block what this one does."""
     truth = Truth(listener)

@@ -12,7 +12,7 @@ from gibson_sim.maps.floor_map import scene_floor_map
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.importing import views as module
 from gibson_sim_tools.importing.views import contact_sheet, free_places, gallery_of_scenes
-from support.scenes import write_room
+from support.scenes import write_house, write_room
 
 CRATE = """<robot name="crate"><link name="crate">
 <visual><geometry><box size="1 1 1"/></geometry><material name="green"><color rgba="0 1 0 1"/></material></visual>
@@ -61,6 +61,21 @@ def test_several_scenes_have_a_row_each(tmp_path: Path, monkeypatch: pytest.Monk
         monkeypatch.setattr(module, name, value)
     picture = gallery_of_scenes([load_scene(write_room(tmp_path / name)) for name in ("a", "b")], 2)
     assert picture.shape[:2] == (2 * (120 + 28) + 6, 2 * (160 + 6) + 6)
+
+
+def test_the_floor_of_a_house_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for name, value in (("WIDTH", 160), ("HEIGHT", 120), ("_CANDIDATES", 3)):
+        monkeypatch.setattr(module, name, value)
+    titles: list[str] = []
+    monkeypatch.setattr(module, "sheet", lambda pictures, columns=3: titles.extend(title for title, _ in pictures))
+    house = load_scene(write_house(tmp_path / "house"))
+    contact_sheet(house, 1)
+    contact_sheet(house, 1, floor_z=3.0)
+    assert [title.partition(", ")[0] for title in titles] == ["floor 0"] * 3 + ["floor 1"] * 3
+    titles.clear()
+    contact_sheet(load_scene(write_room(tmp_path / "room")), 1)
+    assert not any("floor " in title for title in titles), "one floor needs no number"
 
 
 def test_a_floor_is_for_one_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

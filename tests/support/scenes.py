@@ -19,11 +19,29 @@ objects:
   - {name: right, box: [4.0, 0.1, 2.0], pose: {xyz: [0.0, -2.0, 1.0]}, color: [0.8, 0.8, 0.2], semantic_class: wall}
 """
 
+HOUSE = """\
+floors: [0.0, 3.0]
+objects:
+  - {name: ground, box: [6, 4, 0.2], pose: {xyz: [3, 2, -0.1]}}
+  - {name: upstairs, box: [6, 2, 0.2], pose: {xyz: [3, 1, 2.9]}}
+  - {name: wall, box: [0.2, 4, 6], pose: {xyz: [-0.1, 2, 3]}}
+starts:
+  - {name: below, xy: [3, 3]}
+  - {name: above, xyz: [3, 1, 3]}
+"""
+
 
 def write_room(folder: Path, extra: str = "") -> Path:
     """Writes a room of 4 m x 4 m with four walls of different colours; ``extra`` adds lines to its objects."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "scene.yaml").write_text(ROOM + extra)
+    return folder
+
+
+def write_house(folder: Path) -> Path:
+    """Writes a house with floors at 0 m, 6 m x 4 m, and at 3 m, 6 m x 2 m, and with the starts `below` and `above`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "scene.yaml").write_text(HOUSE)
     return folder
 
 

@@ -18,13 +18,13 @@ from gibson_sim.config import PhysicsConfig, parse_fill
 from gibson_sim.errors import CommandError, ConfigError, GibsonSimError, PhysicsError
 from gibson_sim.geometry.transforms import quat_from_rpy, yaw_from_quat
 from gibson_sim.maps.floor_extent import extent_of_scene
-from gibson_sim.maps.placement import in_namespace, place_robots, start_pose
+from gibson_sim.maps.placement import in_namespace, place_robot, place_robots
 from gibson_sim.physics.start_checks import warn_of_misplaced_robots
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.joints.commands import JointPositions
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.load import load_scene, with_robots
+from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.load_views import read_views
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, SceneSpec, drawn_scene
@@ -207,7 +207,7 @@ class Simulation:
         )
         loaded = scene if isinstance(scene, SceneSpec) else load_scene(scene)
         if isinstance(robot, RobotSpec):
-            loaded = with_robots(loaded, [replace(robot, start=start_pose(loaded, robot, start))])
+            loaded = place_robot(loaded, robot, start)
         elif robot is not None and str(robot):
             loaded = place_robots(loaded, str(robot), start)
         self._initial, self._seed, self._device = loaded, seed, device

@@ -79,11 +79,11 @@ class Messages:
             )
         )  # fmt: skip
 
-    def odometry(self, ns: int, x: float, y: float, yaw: float = 0.0) -> bytes:
+    def odometry(self, ns: int, x: float, y: float, yaw: float = 0.0, z: float = 0.0) -> bytes:
         t = self.types
         zero = t["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
         pose = t["geometry_msgs/msg/Pose"](
-            position=t["geometry_msgs/msg/Point"](x=x, y=y, z=0.0),
+            position=t["geometry_msgs/msg/Point"](x=x, y=y, z=z),
             orientation=t["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2))),
         )
         return self.cdr(

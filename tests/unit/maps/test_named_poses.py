@@ -17,6 +17,7 @@ from gibson_sim.resources import known_scenes
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec, StartPose
 from gibson_sim.types import Pose
+from support.scenes import write_house
 
 
 @pytest.fixture(scope="module")
@@ -116,22 +117,9 @@ def test_scene_without_a_floor_has_its_start_poses_alone() -> None:
     assert [pose.name for pose in named_poses(scene)] == ["here"]
 
 
-TWO_FLOORS = """\
-floors: [0.0, 3.0]
-objects:
-  - {name: ground, box: [6, 4, 0.2], pose: {xyz: [3, 2, -0.1]}}
-  - {name: upstairs, box: [6, 2, 0.2], pose: {xyz: [3, 1, 2.9]}}
-  - {name: wall, box: [0.2, 4, 6], pose: {xyz: [-0.1, 2, 3]}}
-starts:
-  - {name: below, xy: [3, 3]}
-  - {name: above, xyz: [3, 1, 3]}
-"""
-
-
 @pytest.fixture
 def house(tmp_path: Path) -> SceneSpec:
-    (tmp_path / "scene.yaml").write_text(TWO_FLOORS)
-    return load_scene(str(tmp_path))
+    return load_scene(write_house(tmp_path))
 
 
 def test_every_floor_has_places_of_its_own(house: SceneSpec) -> None:

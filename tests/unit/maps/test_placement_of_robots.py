@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.maps.placement import place_robots, populate
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
+from support.scenes import write_house
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,14 @@ def test_robots_without_a_start_stand_apart(flat: SceneSpec) -> None:
     for i, one in enumerate(robots):
         for other in robots[:i]:
             assert math.dist(one.start.position[:2], other.start.position[:2]) >= 0.5 + 4 * one.radius
+
+
+@pytest.mark.parametrize(("robots", "start"), [("gibson_bot", "above"), ("a=gibson_bot,b=gibson_bot", "above;below")])
+def test_the_floor_of_the_scene_is_that_on_which_the_first_robot_starts(tmp_path: Path, robots: str, start: str) -> None:
+    house = load_scene(write_house(tmp_path))
+    placed = place_robots(house, robots, start)
+    assert (house.floor_z, placed.floor_z, placed.floors) == (0.0, 3.0, (0.0, 3.0))
+    assert place_robots(house, "gibson_bot").floor_z == 0.0
 
 
 def test_starts_are_given_in_the_order_of_the_robots() -> None:

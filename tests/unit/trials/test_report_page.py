@@ -12,10 +12,11 @@ import numpy as np
 
 from gibson_sim.trials.comparing.comparison import compare
 from gibson_sim.trials.records import Cause, PlacedObject, RunResult, Verdict
-from gibson_sim.trials.report.maps import SceneMap, map_svg
+from gibson_sim.trials.report.maps import SceneMap, map_svg, scene_map
 from gibson_sim.trials.report.page import trial_page
 from gibson_sim.trials.report.paths import read_path, simplify
 from gibson_sim.trials.report.results import TrialResults
+from support.scenes import write_house, write_room
 from support.trial_results import failed, passed, trial
 
 VOID = ("meta", "img", "image", "circle", "path", "polyline", "rect", "br")
@@ -143,6 +144,16 @@ def test_page_tells_of_the_comparison(tmp_path: Path) -> None:
 def test_page_of_no_runs_is_a_page(tmp_path: Path) -> None:
     _, page = page_of(trial([], planned=5), tmp_path)
     assert "0 of 5 planned runs were executed" in page.words
+
+
+def test_map_of_a_house_names_the_floor(tmp_path: Path) -> None:
+    house = str(write_house(tmp_path / "house"))
+    floor = scene_map(house)
+    assert floor is not None and floor.floor == "floor 0"
+    text = trial_page(trial([passed(0, scene=house)]), tmp_path, [], "made by hand", maps={house: floor})
+    assert re.search(r"<h3>[^<]*house, floor 0: ", text)
+    room = scene_map(str(write_room(tmp_path / "room")))
+    assert room is not None and room.floor == ""
 
 
 def test_map_tells_failed_paths_by_more_than_colour() -> None:

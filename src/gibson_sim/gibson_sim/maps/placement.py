@@ -12,6 +12,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
+from gibson_sim.maps.floors import with_floor_at
 from gibson_sim.maps.tour import choose_start
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import RobotSpec
@@ -27,7 +28,7 @@ logger = logging.getLogger(__name__)
 def populate(
     scene_name: str, robots: str, start: str = "", *, sdf_lamps: bool = False, robot_tf: str = "namespaced"
 ) -> SceneSpec:
-    """Returns the scene with its robots.
+    """Returns the scene with its robots; its ``floor_z`` is the floor on which the first robot starts.
 
     Args:
         scene_name: argument of ``load_scene``.
@@ -50,8 +51,7 @@ def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: st
     if not robots.strip():
         raise ConfigError("robot is empty: name one, such as gibson_bot, or give its file")
     if "=" not in robots:
-        robot = load_robot(robots)
-        return with_robots(scene, [replace(robot, start=start_pose(scene, robot, start))])
+        return place_robot(scene, load_robot(robots), start)
     placed: list[RobotSpec] = []
     entries = [part.strip() for part in robots.split(",")]
     starts = [part.strip() for part in start.split(";")] if start else []
@@ -69,7 +69,13 @@ def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: st
         start_text = starts[i] if i < len(starts) else ""
         pose = start_pose(scene, robot, start_text) if start_text else free_start(scene, robot, [other.start for other in placed])
         placed.append(replace(robot, start=pose))
-    return with_robots(scene, placed)
+    return with_robots(with_floor_at(scene, placed[0].start.position[2]), placed)
+
+
+def place_robot(scene: SceneSpec, robot: RobotSpec, start: str = "") -> SceneSpec:
+    """Returns the scene with a robot, whose floor is that of the scene; ``start`` as for ``populate``, for one robot."""
+    pose = start_pose(scene, robot, start)
+    return with_robots(with_floor_at(scene, pose.position[2]), [replace(robot, start=pose)])
 
 
 def in_namespace(robot: RobotSpec, namespace: str, robot_tf: str = "namespaced") -> RobotSpec:

@@ -14,6 +14,7 @@ from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix, rotated
 from gibson_sim.maps.bodies import still_visuals
 from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, FloorMap, make_floor_map
+from gibson_sim.maps.floors import floor_name
 from gibson_sim.maps.traversability import scene_triangles
 from gibson_sim.quoting import quoted
 from gibson_sim.render.cache import default_folder
@@ -52,18 +53,20 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
     Raises:
         SceneError: the scene has no free floor.
     """
-    level = scene if floor_z is None else replace(scene, floor_z=floor_z)
+    level = scene if floor_z is None else replace(scene, floor_z=floor_z, other_floors=scene.floors)
     floor = _floor_with_bodies(level)
     with _static_renderer(scene) as renderer:
         eyes = _eye_cameras(renderer, level, floor, views)
         pictures = [_rendered(renderer, scene, camera) for camera in (*eyes, _top_view_camera(level))]
     places = np.array([eye.pose.position[:2] for eye in eyes])
     yaws = [_heading(eye) for eye in eyes]
+    where = f"{floor_name(level)}, " if floor_name(level) else ""
     titled = [
-        (f"view {k + 1} at {x:.1f}, {y:.1f}", p) for k, ((x, y), p) in enumerate(zip(places.tolist(), pictures, strict=False))
+        (f"{where}view {k + 1} at {x:.1f}, {y:.1f}", p)
+        for k, ((x, y), p) in enumerate(zip(places.tolist(), pictures, strict=False))
     ]
-    titled.append(("from above", pictures[-1]))
-    titled.append((f"floor map, {floor.resolution:g} m per cell", map_picture(floor, places, yaws)))
+    titled.append((f"{where}from above", pictures[-1]))
+    titled.append((f"{where}map, {floor.resolution:g} m per cell", map_picture(floor, places, yaws)))
     return sheet(titled)
 
 
@@ -79,13 +82,13 @@ def gallery_of_scenes(scenes: Iterable[SceneSpec], views: int) -> Rgb:
     """
     titled = []
     for scene in scenes:
-        levels = [replace(scene, floor_z=z) for z in scene.floors] or [scene]
+        levels = [replace(scene, floor_z=z, other_floors=scene.floors) for z in scene.floors]
         counts = [len(range(k, views, len(levels))) for k in range(len(levels))]
         with _static_renderer(scene) as renderer:
-            for number, (level, count) in enumerate(zip(levels, counts, strict=True)):
+            for level, count in zip(levels, counts, strict=True):
                 if not count:
                     continue
-                title = scene.name if len(levels) == 1 else f"{scene.name}, floor {number}"
+                title = ", ".join(filter(None, (scene.name, floor_name(level))))
                 for eye in _eye_cameras(renderer, level, _floor_with_bodies(level), count):
                     titled.append((title, _rendered(renderer, scene, eye)))
     return sheet(titled, views)

@@ -24,7 +24,7 @@ from gibson_sim.bags.plots.style import STYLE
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.cli.command_line import run as run_command
 from gibson_sim.errors import ConfigError, EnvironmentProblemError, RecordError
-from support.scenes import write_room
+from support.scenes import write_house, write_room
 
 NS = 1_000_000_000
 TICK = NS // 10
@@ -139,10 +139,8 @@ def test_truth_published_as_a_transform_is_no_estimate(write_run: Callable[..., 
     assert (load_run(write_run(tf_x=tf_x)).robots[0].estimate is not None) is is_drawn
 
 
-def test_scene_gives_the_map_that_the_bag_lacks(messages: Any, write_run: Callable[..., Path], tmp_path: Path) -> None:
-    scene = write_room(tmp_path / "room")
-    folder = write_run(floor=False)
-    assert load_run(folder).floor is None, "without run_info the scene is not known"
+def _write_run_in(scene: Path, z: float, messages: Any, tmp_path: Path) -> Path:
+    """Writes a bag without a map that names its scene; its robot is ``z`` m high."""
     settings = yaml.safe_dump({"scene": str(scene)})
     with BagWriter(tmp_path / "with_scene", reserve_bytes=0) as bag:
         bag.add_topic("/run_info", "gibson_msgs/msg/RunInfo", TopicQos.latched())
@@ -152,12 +150,27 @@ def test_scene_gives_the_map_that_the_bag_lacks(messages: Any, write_run: Callab
         )
         bag.write("/run_info", messages.cdr(info), 0, 0)
         for i in range(3):
-            bag.write("/ground_truth/odom", messages.odometry(i, 0.1 * i, 0.0), i, i)
-    run = load_run(tmp_path / "with_scene")
+            bag.write("/ground_truth/odom", messages.odometry(i, 0.1 * i, 0.0, z=z), i, i)
+    return tmp_path / "with_scene"
+
+
+def test_scene_gives_the_map_that_the_bag_lacks(messages: Any, write_run: Callable[..., Path], tmp_path: Path) -> None:
+    assert load_run(write_run(floor=False)).floor is None, "without run_info the scene is not known"
+    scene = write_room(tmp_path / "room")
+    run = load_run(_write_run_in(scene, 0.0, messages, tmp_path))
     floor = run.floor
     assert floor is not None, run.notes
     assert floor.source == f"scene {scene}"
     assert 100 in floor.cells and 0 in floor.cells
+
+
+@pytest.mark.parametrize(("z", "number", "depth"), [(0.0, 0, 4.0), (3.05, 1, 2.0)])
+def test_map_of_a_house_is_that_of_the_robot_s_floor(z: float, number: int, depth: float, messages: Any, tmp_path: Path) -> None:
+    scene = write_house(tmp_path / "house")
+    floor = load_run(_write_run_in(scene, z, messages, tmp_path)).floor
+    assert floor is not None and floor.source == f"scene {scene}, floor {number}"
+    rows = np.flatnonzero((floor.cells == 0).any(axis=1))
+    assert (rows[-1] - rows[0] + 1) * floor.resolution == pytest.approx(depth, abs=0.15), "the upper floor is half as deep"
 
 
 def test_one_robot_of_several(write_run: Callable[..., Path]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
@@ -101,6 +102,8 @@ class _Reading:
         self._log: dict[str, list[int]] = {topic: [] for topic in infos}
         self._map_topic = _map_topic(infos)
         self._map: Any = None
+        self._first_z: float | None = None
+        """First true height of a robot, metres; None = the bag has no true pose."""
         self._notes: list[str] = []
 
     def read(self) -> None:
@@ -126,6 +129,8 @@ class _Reading:
             robot.odom_frame = msg.header.frame_id.lstrip("/")
         pose, twist = msg.pose, getattr(msg, "twist", None)
         pose = getattr(pose, "pose", pose)
+        if role == "truth" and self._first_z is None and math.isfinite(pose.position.z):
+            self._first_z = float(pose.position.z)
         q = pose.orientation
         v = (np.nan, np.nan, np.nan) if twist is None else (twist.twist.linear.x, twist.twist.linear.y, twist.twist.angular.z)
         robot.rows[role].append((t, pose.position.x, pose.position.y, yaw_from_quat((q.x, q.y, q.z, q.w)), *v))
@@ -203,15 +208,18 @@ class _Reading:
             return None
         # Imported only when needed: most bags have a map.
         from gibson_sim.maps.floor_map import scene_floor_map
+        from gibson_sim.maps.floors import floor_name, with_floor_at
         from gibson_sim.scenes.load import load_scene
 
         try:
-            floor = scene_floor_map(load_scene(name), robot_height=_MAP_HEIGHT)
+            scene = load_scene(name)
+            scene = with_floor_at(scene, scene.floor_z if self._first_z is None else self._first_z)
+            floor = scene_floor_map(scene, robot_height=_MAP_HEIGHT)
         except GibsonSimError as error:
             self._notes.append(f"there is no map: the bag has none, and that of its scene cannot be computed ({error})")
             return None
         cells = np.where(floor.occupied, 100, np.where(floor.floor, 0, -1)).astype(np.int8)
-        return Floor(cells, floor.resolution, floor.origin, f"scene {name}")
+        return Floor(cells, floor.resolution, floor.origin, ", ".join(filter(None, (f"scene {name}", floor_name(scene)))))
 
 
 def _map_topic(infos: Mapping[str, TopicInfo]) -> str:

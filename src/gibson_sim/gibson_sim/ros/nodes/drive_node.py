@@ -18,10 +18,12 @@ from rclpy.node import Node
 from gibson_sim.client_config import DriveConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.floors import with_floor_at
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.maps.tour import plan_tour
 from gibson_sim.robots import load
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions
 from gibson_sim.ros.client.simulated_world import SimulatedWorld
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
@@ -68,8 +70,9 @@ class DriveNode(Node):
         super().__init__("drive", **kwargs)
         self._config = config = config_from_parameters(self, DriveConfig)
         self._drive: _Drive | None = None
+        self._site: tuple[SceneSpec, RobotSpec] | None = None
+        """Scene and robot that a tour is planned for."""
         self._map: FloorMap | None = None
-        self._radius = 0.0
         self._world: SimulatedWorld | None = None
         """World that a tour is planned in; None = the settings name it."""
         self._answer: WaitCondition | None = None
@@ -98,7 +101,7 @@ class DriveNode(Node):
     def _load_map(self, scene: SceneSpec, robot_name: str) -> None:
         """Computes the map that a tour is planned in."""
         robot = load_robot(robot_name)
-        self._map, self._radius = furnished_floor_map(scene, robot), robot.radius
+        self._site, self._map = (scene, robot), furnished_floor_map(scene, robot)
 
     def _has_map(self) -> bool:
         """Returns whether the drive needs no map, or has it; requests the names of scene and robot that the settings do not give.
@@ -156,17 +159,21 @@ class DriveNode(Node):
             return
         x, y, yaw, stamp_ns = conversions.planar_from_odometry(msg)
         if self._drive is None:
-            self._drive = self._plan(x, y)
+            self._drive = self._plan(x, y, msg.pose.pose.position.z)
         linear, angular = self._drive.command(x, y, yaw, stamp_ns)
         self._send(linear, angular, msg.header.stamp)
         if self._lockstep is not None:
             self._lockstep.tick_done(msg.header.stamp, (self._publisher.topic_name,))
         self._done = self._drive.done
 
-    def _plan(self, x: float, y: float) -> _Drive:
-        """Returns a tour that starts at (x, y), m."""
-        assert self._map is not None
-        path = plan_tour(self._map, (x, y), self._radius, self._config.length or TOUR_LENGTH)
+    def _plan(self, x: float, y: float, z: float) -> _Drive:
+        """Returns a tour that starts at (x, y), m, on the floor at ``z``, m."""
+        assert self._map is not None and self._site is not None
+        scene, robot = self._site
+        level = with_floor_at(scene, z)
+        if level is not scene:
+            self._map = furnished_floor_map(level, robot)
+        path = plan_tour(self._map, (x, y), robot.radius, self._config.length or TOUR_LENGTH)
         self.get_logger().info(f"tour of {len(path)} points starts at x {x:.2f} m, y {y:.2f} m")
         return _TourDrive(PathFollower(path, max_linear=self._config.linear, max_angular=self._config.angular))
 

@@ -59,7 +59,7 @@ class WorldInterface:
         self._last_state = b""
         self._requested_views = read_views(config.views, config.wanted_view_size(), config.view_rate)
         self._views: Views | None = None
-        self._floor: tuple[str, FloorExtent] | None = None
+        self._floor: tuple[tuple[str, float], FloorExtent] | None = None
         """Hash of a scene, and the extent of its floor, which is computed once."""
         self._tf_pub: Publisher | None = None
         self._transforms = ViewTransforms()
@@ -116,8 +116,9 @@ class WorldInterface:
         return views.extended(state, poses)
 
     def _floor_of(self, scene: SceneSpec) -> FloorExtent:
-        if self._floor is None or self._floor[0] != scene.content_hash:
-            self._floor = scene.content_hash, extent_of_scene(scene)
+        key = scene.content_hash, scene.floor_z
+        if self._floor is None or self._floor[0] != key:
+            self._floor = key, extent_of_scene(scene)
         return self._floor[1]
 
     def publish_state_again(self) -> None:

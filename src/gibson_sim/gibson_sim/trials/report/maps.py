@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.maps.floor_map import scene_floor_map
+from gibson_sim.maps.floors import floor_name
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.paths import Points, bounds
@@ -39,6 +40,8 @@ class SceneMap:
     """(H, W, 4), uint8: blue, green, red, alpha; row 0 has the greatest y."""
     box: Box
     """World coordinates of its edges."""
+    floor: str = ""
+    """Name of the floor where the scene has several."""
 
 
 def scene_map(scene: str) -> SceneMap | None:
@@ -48,7 +51,8 @@ def scene_map(scene: str) -> SceneMap | None:
         scene: name or file.
     """
     try:
-        floor = scene_floor_map(load_scene(scene), robot_height=_HEIGHT)
+        loaded = load_scene(scene)
+        floor = scene_floor_map(loaded, robot_height=_HEIGHT)
     except GibsonSimError as error:
         _log.warning("the page shows scene %s without its map: %s", scene, error)
         return None
@@ -60,7 +64,7 @@ def scene_map(scene: str) -> SceneMap | None:
     pixels[occupied] = _OCCUPIED
     x, y, cell = *floor.origin, floor.resolution
     box = (x + column0 * cell, x + column1 * cell, y + row0 * cell, y + row1 * cell)
-    return SceneMap(pixels[::-1], (float(box[0]), float(box[1]), float(box[2]), float(box[3])))
+    return SceneMap(pixels[::-1], (float(box[0]), float(box[1]), float(box[2]), float(box[3])), floor_name(loaded))
 
 
 def map_svg(floor: SceneMap | None, runs: Sequence[tuple[RunResult, Points]]) -> str:

@@ -184,10 +184,12 @@ def _maps(trial: TrialResults, folder: Path, maps: dict[str, SceneMap | None] | 
     parts = []
     for scene in dict.fromkeys(result.run.scene for result in trial.results):
         runs = [(r, read_path(run_folder(folder, r.run.number))) for r in trial.results if r.run.scene == scene]
-        svg = map_svg(scene_map(scene) if maps is None else maps.get(scene), runs)
+        floor = scene_map(scene) if maps is None else maps.get(scene)
+        svg = map_svg(floor, runs)
+        title = ", ".join(filter(None, (scene_name(scene), "" if floor is None else floor.floor)))
         rate = Rate(sum(result.passed for result, _ in runs), len(runs))
         if svg:
-            parts.append(f"<div><h3>{_text(scene_name(scene))}: {_short(rate)}</h3>{svg}</div>")
+            parts.append(f"<div><h3>{_text(title)}: {_short(rate)}</h3>{svg}</div>")
     caption = (
         '<p class="quiet">True paths of the robot: <span class="good">solid = passed</span>, <span class="bad">dashed = failed</span>, '
         "with the number of the run at its end, ✗. Circle: start. For failed runs, diamond: goal, square: spawned object.</p>"

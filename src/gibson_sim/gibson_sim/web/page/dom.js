@@ -8,6 +8,13 @@ export function element(tag, text = '', values = {}) {
   return e;
 }
 
+// Returns a name in which lines may break after `_`, `-`, `.` and `/`, rather than within a word.
+export function nameElement(name) {
+  const e = element('span');
+  e.append(...name.split(/(?<=[-_./])(?=.)/).flatMap((part, k) => (k ? [document.createElement('wbr'), part] : [part])));
+  return e;
+}
+
 // Shows items as children of a parent. Elements are reused by key: an update must not replace an element while it is pressed.
 export function keyed(parent, items, key, make, update) {
   const old = new Map([...parent.children].map((child) => [child.dataset.key, child]));

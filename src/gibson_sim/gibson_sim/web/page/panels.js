@@ -1,5 +1,5 @@
 // The lists and buttons beside the map: doors, objects, recording, task, diagnostics.
-import { $, element, keyed } from './dom.js';
+import { $, element, keyed, nameElement } from './dom.js';
 
 const words = (name) => name.replaceAll('_', ' ');
 const furniture = (name) => words(name).replace(/ (drawers|doors|body)$/, '');
@@ -63,7 +63,7 @@ export class Panels {
     $('things-empty').hidden = this.entities.length > 0;
     keyed($('things'), sorted, (e) => e.name, (e) => {
       const li = element('li'), small = element('small'), remove = element('button', '×', { title: `delete ${e.name}` });
-      li.append(element('span', e.name), small);
+      li.append(nameElement(e.name), small);
       li.onclick = () => this.select(e.name);
       if (!e.robot) li.append(remove);
       remove.onclick = (event) => {
@@ -101,9 +101,9 @@ export class Panels {
     $('diagnostics-empty').hidden = diagnostics.length > 0;
     const worst = Math.max(0, ...diagnostics.map((d) => (d.level < 3 ? d.level : 0)));
     $('health').className = `dot level${worst}`; $('health').title = LEVELS[worst];
-    keyed($('diagnostics'), diagnostics, (d) => d.name, () => { const li = element('li'); li.append(element('span'), element('small')); return li; }, (li, d) => {
+    keyed($('diagnostics'), diagnostics, (d) => d.name, (d) => { const li = element('li'); li.append(nameElement(d.name.replace(/^gibson_sim: /, '')), element('small')); return li; }, (li, d) => {
       li.className = `level${d.level}`;
-      li.children[0].textContent = d.name.replace(/^gibson_sim: /, ''); li.children[1].textContent = d.message;
+      li.children[1].textContent = d.message;
       li.title = d.values.map(([k, v]) => `${k}: ${v}`).join('\n');
     });
   }
