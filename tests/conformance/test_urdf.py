@@ -7,13 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from PIL import Image
 
 from conformance.rules import rule
 from gibson_sim.description.rigid_groups import rigid_groups
 from gibson_sim.description.urdf import UrdfJoint, UrdfLink, UrdfModel, parse_urdf, read_urdf
 from gibson_sim.errors import RobotError
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.formats.textured_shapes import with_textures
 from gibson_sim.geometry.transforms import matrix_from_quat
 from gibson_sim.robots.load import load_robot
+from gibson_sim.scenes.spawning import SpawnError, load_spawnable
+from gibson_sim.types import Pose
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
 LIMIT = '<limit lower="-1" upper="2" effort="3" velocity="4"/>'
@@ -652,3 +658,83 @@ def test_an_optional_variable_has_its_default(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("RADIUS", "0.5")
     model = parse(f'<link name="base">{sphere("$(optenv RADIUS 0.1)")}</link>')
     assert radii(model) == [0.1]
+
+
+# <texture>
+
+
+def textured(folder: Path, geometry: str) -> tuple[UrdfModel, NDArray[np.uint8] | None]:
+    """Returns a model whose only visual has a texture, and the pixels of the texture that is drawn on it."""
+    pixels = np.zeros((4, 4, 3), dtype=np.uint8)
+    pixels[:2] = (10, 200, 30)
+    Image.fromarray(pixels).save(folder / "wood.png")
+    (folder / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (folder / "mapped.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    material = '<material name="m"><color rgba="1 0 0 1"/><texture filename="wood.png"/></material>'
+    body = f'<link name="a"><visual><geometry>{geometry}</geometry>{material}</visual></link>'
+    model = with_textures(parse(body, folder=folder))
+    (visual,) = model.links[0].visuals
+    (part,) = MeshLoader(None).shape(visual.shape).parts
+    return model, None if part.material.texture is None else part.material.texture.pixels
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        '<box size="1 2 3"/>',
+        '<sphere radius="1"/>',
+        '<cylinder radius="1" length="2"/>',
+        '<mesh filename="mapped.obj" scale="2 2 2"/>',
+    ],
+)
+@rule(
+    "URDF",
+    "<texture filename>",
+    "done",
+    "on each side of a box, once around others; meshes by their coordinates; in place of a colour, as in RViz",
+)
+def test_a_texture_is_drawn(tmp_path: Path, geometry: str) -> None:
+    model, pixels = textured(tmp_path, geometry)
+    assert model.warnings == ()
+    assert model.links[0].visuals[0].color is None
+    assert pixels is not None
+    assert pixels[:, 0, :3].tolist() == [[10, 200, 30]] * 2 + [[0, 0, 0]] * 2
+
+
+def test_a_textured_shape_has_the_size_of_its_shape(tmp_path: Path) -> None:
+    model, _ = textured(tmp_path, '<mesh filename="mapped.obj" scale="2 3 4"/>')
+    (part,) = MeshLoader(None).shape(model.links[0].visuals[0].shape).parts
+    assert part.vertices.max(axis=0) == pytest.approx([2.0, 3.0, 0.0])
+
+
+@rule("URDF", "<texture> of a mesh without texture coordinates", "left out", "named; the colour is drawn")
+def test_a_texture_of_a_mesh_without_coordinates_is_named(tmp_path: Path) -> None:
+    model, pixels = textured(tmp_path, '<mesh filename="flat.obj"/>')
+    assert pixels is None
+    assert model.links[0].visuals[0].color == (1.0, 0.0, 0.0, 1.0)
+    assert model.warnings == (f"r.urdf: texture {tmp_path / 'wood.png'} is left out: mesh 'flat.obj' has no texture coordinates",)
+
+
+@rule("URDF", "<texture> whose file is missing", "left out", "named; the colour is drawn")
+def test_a_missing_texture_is_named() -> None:
+    material = '<material name="m"><color rgba="1 0 0 1"/><texture filename="gone.png"/></material>'
+    model = parse(f'<link name="a"><visual>{BALL}{material}</visual></link>')
+    assert model.links[0].visuals[0].color == (1.0, 0.0, 0.0, 1.0)
+    assert model.warnings == ("r.urdf: texture gone.png does not exist; left out",)
+
+
+def test_a_robot_and_a_spawned_body_have_their_textures(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((2, 2, 3), dtype=np.uint8)).save(tmp_path / "wood.png")
+    material = '<material name="m"><texture filename="wood.png"/></material>'
+    (tmp_path / "r.urdf").write_text(
+        f'<robot name="r"><link name="a"><visual>{BALL}{material}</visual><collision>{BALL}</collision></link></robot>'
+    )
+    (tmp_path / "robot.yaml").write_text("urdf: r.urdf\n")
+    (drawn,) = load_robot(tmp_path / "robot.yaml").visuals
+    body = load_spawnable(str(tmp_path / "r.urdf"), "", name="b", pose=Pose(), roots=(tmp_path,))
+    assert [visual.shape.mesh for visual in body.visuals] == [drawn.shape.mesh]
+    assert drawn.shape.mesh.endswith(".glb")
+    (tmp_path / "inside").mkdir()
+    (tmp_path / "inside" / "r.urdf").write_text((tmp_path / "r.urdf").read_text().replace("wood.png", "../wood.png"))
+    with pytest.raises(SpawnError, match=r"wood\.png: lies outside"):
+        load_spawnable(str(tmp_path / "inside" / "r.urdf"), "", name="b", pose=Pose(), roots=(tmp_path / "inside",))

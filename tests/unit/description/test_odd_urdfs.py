@@ -93,8 +93,9 @@ def test_a_broken_tree_or_number_is_refused(body: str, words: str) -> None:
     assert words in str(error.value)
 
 
-def test_colours_of_a_texture_alone_need_no_warning() -> None:
+def test_a_missing_texture_is_named_once() -> None:
     material = '<material name="m"><texture filename="m.png"/></material>'
     visual = '<visual><geometry><sphere radius="1"/></geometry><material name="m"/></visual>'
-    found = parse(f'{material}<link name="a">{visual}</link>')
-    assert (found.warnings, found.links[0].visuals[0].color) == ((), None)
+    found = parse(f'{material}<link name="a">{visual * 2}</link>')
+    assert found.warnings == ("r.urdf: texture m.png does not exist; left out",)
+    assert found.links[0].visuals[0].color is None

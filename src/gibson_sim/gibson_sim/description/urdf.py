@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from gibson_sim.description.gazebo import gazebo_left_out, read_gazebo
 from gibson_sim.description.mesh_files import resolve_mesh
@@ -75,14 +76,23 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
     return _Reader(source, find or resolve_mesh).model(top)
 
 
+class _Look(NamedTuple):
+    """Colour and texture of a material; neither = the material is not defined."""
+
+    color: Rgba | None = None
+    """sRGB and alpha, 0 to 1."""
+    texture: str = ""
+    """Name of the image, as in the file."""
+
+
 class _Reader:
     """Converts the XML of one file to values, and collects warnings."""
 
     def __init__(self, path: Path, find: FindMesh) -> None:
         self.path, self.find = path.absolute(), find
         self.warnings: list[str] = []
-        self.colors: dict[str, Rgba | None] = {}
-        """Material name -> colour; None = the material has only a texture."""
+        self.materials: dict[str, _Look] = {}
+        """Named materials."""
         self.remarks: dict[str, list[str]] = {}
         """What is odd -> names of the elements: one warning each."""
         self.frictions: dict[str, float] = {}
@@ -116,12 +126,14 @@ class _Reader:
     def collect_materials(self, top: ET.Element) -> None:
         """Reads the named materials: those of the robot, then those within visuals, the first of each name, as ROS does."""
         for material in (*top.findall("material"), *top.findall("link/visual/material")):
-            name, color = material.get("name", ""), material.find("color")
-            if color is None and material.find("texture") is None:
-                continue
-            value = None if color is None else self.rgba(color)
-            if name and self.colors.setdefault(name, value) != value:
+            name, look = material.get("name", ""), self.look(material)
+            if name and look != _Look() and self.materials.setdefault(name, look) != look:
                 self.remark("materials are defined again with another colour; the first counts, as in ROS", quoted(name))
+
+    def look(self, material: ET.Element) -> _Look:
+        """Returns the look that a material itself defines."""
+        color, texture = material.find("color"), material.find("texture")
+        return _Look(None if color is None else self.rgba(color), "" if texture is None else texture.get("filename", "").strip())
 
     def sorted_links(self, links: list[UrdfLink], joints: list[UrdfJoint]) -> tuple[UrdfLink, ...]:
         """Returns the links, parents first; raises RobotError if they do not form one tree."""
@@ -184,7 +196,8 @@ class _Reader:
             shape = self.shape(item, f"{where}: visual")
             missing = missing or shape is None
             if shape is not None:
-                visuals.append(UrdfVisual(shape, self.origin(item, where), self.color(item.find("material"), where)))
+                look = self.material(item.find("material"), where)
+                visuals.append(UrdfVisual(shape, self.origin(item, where), look.color, look.texture))
         collisions = []
         for item in element.findall("collision"):
             shape = self.shape(item, f"{where}: collision")
@@ -312,15 +325,22 @@ class _Reader:
         self.warnings.append(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
         return None
 
-    def color(self, material: ET.Element | None, where: str) -> Rgba | None:
-        if material is None:
-            return None
-        color, name = material.find("color"), material.get("name", "")
-        if color is not None and not name:
-            return self.rgba(color)
-        if name not in self.colors and material.find("texture") is None:
+    def material(self, element: ET.Element | None, where: str) -> _Look:
+        """Returns the look of a visual, whose texture is the absolute path of an image that exists."""
+        if element is None:
+            return _Look()
+        name = element.get("name", "")
+        look = self.materials.get(name, self.look(element)) if name else self.look(element)
+        if look == _Look():
             self.warnings.append(f"{self.path.name}: {where}: material {quoted(name)} is not defined; drawn without a colour")
-        return self.colors.get(name)
+        if not look.texture:
+            return look
+        path = self.find(look.texture, self.path)
+        if path is None:
+            text = f"{self.path.name}: texture {look.texture} does not exist; left out"
+            if text not in self.warnings:
+                self.warnings.append(Omission(text, OmissionKind.MISSING_ASSET))
+        return _Look(look.color, "" if path is None else str(path))
 
     def rgba(self, element: ET.Element) -> Rgba:
         values = self.numbers(element, "rgba", 4, "material")

@@ -31,6 +31,8 @@ class UrdfVisual:
     """T_link_visual."""
     color: Rgba | None
     """Colour of its material, sRGB and alpha, 0 to 1; None = the material has no colour."""
+    texture: str = ""
+    """Absolute path of the image of its material, which replaces the colour; empty = none."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from gibson_sim.description.rigid_groups import MOVING_TYPES
 from gibson_sim.description.urdf import UrdfModel, read_urdf
 from gibson_sim.description.xacro import plain_description
 from gibson_sim.errors import ConfigError, RobotError
+from gibson_sim.formats.textured_shapes import with_textures
 from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap, read_yaml_map
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.quoting import quoted
@@ -88,7 +89,7 @@ def load_robot(
     else:
         robot = read_yaml_map(path, error=RobotError)
     robot.check_keys(_ROBOT_KEYS)
-    model = _model(robot, path)
+    model = with_textures(_model(robot, path))
     for warning in model.warnings:
         logger.warning("%s", warning)
     for joint in model.joints:

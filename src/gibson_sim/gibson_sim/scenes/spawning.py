@@ -22,8 +22,9 @@ from gibson_sim.description.shapes import Shape
 from gibson_sim.description.urdf import Inertial, UrdfJoint, UrdfModel, parse_urdf, read_urdf
 from gibson_sim.description.xacro import is_xacro
 from gibson_sim.errors import GibsonSimError, MeshError, RobotError, SceneError, SceneNotFoundError, TextError
-from gibson_sim.formats.file_roots import description_roots
+from gibson_sim.formats.file_roots import description_roots, is_inside
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES, MeshLoader
+from gibson_sim.formats.textured_shapes import with_textures
 from gibson_sim.formats.uris import UriResolver, ancestors
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, is_folder, parse_xml, read_file
@@ -269,6 +270,8 @@ def _urdf_body(
     # Gazebo marks a static model by an empty root link `world`.
     static = root.name == WORLD and not (root.visuals or root.collisions or root.inertial)
     _check(model, _loader(roots), read=True, static=static)
+    model = with_textures(model)
+    _raise_for(model.warnings)
     return BodySpec(name, model, pose, static, class_from_model(model.name))
 
 
@@ -343,6 +346,10 @@ def _check(model: UrdfModel, loader: MeshLoader, *, read: bool, static: bool = F
                 lines += loader.mesh(Path(mesh)).warnings
             except MeshError as e:
                 lines.append(Omission(str(e), OmissionKind.UNSUPPORTED_ASSET))
+    for texture in dict.fromkeys(visual.texture for link in model.links for visual in link.visuals if visual.texture):
+        if loader.roots is not None and not is_inside(Path(texture), loader.roots):
+            text = f"{texture}: lies outside {', '.join(map(str, loader.roots))}; move it into one of these folders"
+            lines.append(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
     _raise_for([line for line in lines if kind_of(line) is OmissionKind.INVALID])
     try:
         _check_plausible(model, loader)
