@@ -230,7 +230,7 @@ def test_poses_are_relative_to_links_of_included_models(tmp_path: Path) -> None:
     content = f'{include}<link name="cup"><pose relative_to="inc::hand">0 0 1 0 0 0</pose>{VISUAL}</link>'
     scene = world(tmp_path, f'<model name="o">{content}</model>')
     assert places(scene) == [(1.0, 0.0, 3.0)]
-    assert not scene.warnings
+    assert not warned(scene.warnings, "frame")
     got = body(tmp_path, content).model
     np.testing.assert_allclose(got.transforms()["cup"], at(1, 0, 3), atol=1e-12)
 
@@ -347,3 +347,527 @@ def test_a_model_opens_as_a_scene_on_a_ground_plane(tmp_path: Path) -> None:
     model(tmp_path, "chair", f'<pose>1 0 0 0 0 0</pose><link name="l">{VISUAL}</link>')
     scene = load_scene(tmp_path / "scene" / "models" / "chair" / "model.sdf")
     assert (places(scene), scene.ground_z) == ([(1.0, 0.0, 0.0)], 0.0)
+
+
+# Geometry
+
+
+@rule(
+    FORMAT, "<box>, <sphere>, <cylinder>, <capsule>, <ellipsoid>, <cone>", "done", "ellipsoids and cones collide as convex hulls"
+)
+@pytest.mark.parametrize(
+    ("geometry", "kind", "size"),
+    [
+        ("<box><size>1 2 3</size></box>", "box", (1, 2, 3)),
+        ("<sphere><radius>2</radius></sphere>", "sphere", (2, 0, 0)),
+        ("<cylinder><radius>1</radius><length>2</length></cylinder>", "cylinder", (1, 2, 0)),
+        ("<capsule><radius>1</radius><length>2</length></capsule>", "capsule", (1, 2, 0)),
+        ("<ellipsoid><radii>1 2 3</radii></ellipsoid>", "ellipsoid", (1, 2, 3)),
+        ("<cone><radius>1</radius><length>2</length></cone>", "cone", (1, 2, 0)),
+    ],
+)
+def test_primitives_have_their_sizes(tmp_path: Path, geometry: str, kind: str, size: tuple[float, ...]) -> None:
+    item = f"<geometry>{geometry}</geometry>"
+    scene = world(
+        tmp_path,
+        f'<model name="m"><link name="l"><visual name="v">{item}</visual><collision name="c">{item}</collision></link></model>',
+    )
+    assert [(v.shape.kind, v.shape.size) for v in scene.visuals] == [(kind, size)]
+    assert [(c.shape.kind, c.shape.size) for c in scene.collisions] == [(kind, size)]
+
+
+@rule(FORMAT, "sizes of primitives", "refused", "missing, or not above 0: left out in a world, a body is refused")
+@pytest.mark.parametrize("geometry", ["<box/>", "<sphere><radius>-1</radius></sphere>", "<capsule><radius>1</radius></capsule>"])
+def test_sizes_that_make_no_sense_are_named(tmp_path: Path, geometry: str) -> None:
+    got = body(tmp_path, f'<link name="l"><collision name="c"><geometry>{geometry}</geometry></collision></link>').model
+    assert warned(got.warnings, "link l", "must be finite and above 0")
+
+
+@rule(FORMAT, "<plane>", "done", "a level collision plane is the infinite ground")
+def test_a_level_plane_is_the_ground(tmp_path: Path) -> None:
+    plane = '<collision name="c"><pose>0 0 0.5 0 0 0</pose><geometry><plane><normal>0 0 1</normal></plane></geometry></collision>'
+    scene = world(tmp_path, f'<model name="g"><static>1</static><link name="l">{plane}</link></model>')
+    assert (scene.ground_z, scene.collisions) == (0.5, ())
+
+
+@rule(FORMAT, "<plane>", "approximated", "a plane that is not level, or of a body, collides as a plate of its <size>")
+def test_a_vertical_plane_collides_as_a_plate(tmp_path: Path) -> None:
+    plane = '<collision name="c"><geometry><plane><normal>1 0 0</normal><size>4 6</size></plane></geometry></collision>'
+    scene = world(tmp_path, f'<model name="w"><static>1</static><link name="l">{plane}{VISUAL}</link></model>')
+    (plate,) = scene.collisions
+    assert plate.shape.size == (4.0, 6.0, 0.01)
+    # The plate lies behind the plane x = 0.
+    np.testing.assert_allclose(matrix_from_pose(plate.pose)[:3, 3], [-0.005, 0, 0], atol=1e-12)
+    assert warned(scene.warnings, "model w", "4 x 6 m", "not as an infinite plane")
+
+
+@rule(FORMAT, "<plane>", "refused", "in a body that moves")
+def test_a_plane_that_moves_is_refused(tmp_path: Path) -> None:
+    got = body(tmp_path, '<link name="l"><collision name="c"><geometry><plane/></geometry></collision></link>').model
+    assert warned(got.warnings, "link l", "<static> model only")
+
+
+@rule(FORMAT, "<heightmap>, <image>, <polyline>", "left out", "a world goes without them; a body is refused")
+@pytest.mark.parametrize("geometry", ["heightmap", "image", "polyline"])
+def test_geometry_without_a_counterpart_is_named(tmp_path: Path, geometry: str) -> None:
+    link = f'<link name="l"><visual name="v"><geometry><{geometry}/></geometry></visual>{VISUAL}</link>'
+    assert warned(
+        world(tmp_path, f'<model name="m">{link}</model>').warnings, f"geometry <{geometry}> is not supported; left out"
+    )
+
+
+def _mesh(folder: Path) -> None:
+    path = folder / "scene" / "worlds" / "a.obj"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    faces = "1 3 4,1 4 2,5 6 8,5 8 7,1 2 6,1 6 5,3 7 8,3 8 4,1 5 7,1 7 3,2 4 8,2 8 6"
+    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(f"f {f}\n" for f in faces.split(",")))
+
+
+@rule(FORMAT, "<mesh>", "done", "`uri`, `scale`")
+@rule(FORMAT, "mesh/submesh", "approximated", "the whole mesh is used")
+def test_meshes_are_scaled_and_whole(tmp_path: Path) -> None:
+    _mesh(tmp_path)
+    mesh = "<geometry><mesh><uri>a.obj</uri><scale>1 2 3</scale><submesh><name>s</name></submesh></mesh></geometry>"
+    scene = world(tmp_path, f'<model name="m"><link name="l"><visual name="v">{mesh}</visual></link></model>')
+    assert scene.visuals[0].shape.size == (1, 2, 3)
+    assert warned(scene.warnings, "<submesh>", "the whole mesh is used")
+
+
+# Materials
+
+
+def _color(folder: Path, material: str, more: str = "") -> tuple[tuple[float, ...] | None, tuple[str, ...]]:
+    visual = f'<visual name="v">{BOX}<material>{material}</material>{more}</visual>'
+    scene = world(folder, f'<model name="m"><static>1</static><link name="l">{visual}</link></model>')
+    return scene.visuals[0].color, scene.warnings
+
+
+@rule(FORMAT, "material/diffuse", "done", "also beside a <pbr>")
+@pytest.mark.parametrize("more", ["", "<pbr><metal><roughness>0.2</roughness></metal></pbr>", "<pbr/>"])
+def test_the_diffuse_colour_is_that_of_the_visual(tmp_path: Path, more: str) -> None:
+    assert _color(tmp_path, f"<diffuse>1 0.5 0 1</diffuse>{more}") == ((1.0, 0.5, 0.0, 1.0), ())
+
+
+@rule(FORMAT, "material/emissive", "approximated", "drawn as a colour that light falls on")
+def test_a_material_with_emission_alone_has_its_colour(tmp_path: Path) -> None:
+    color, warnings = _color(tmp_path, "<emissive>0 1 0 1</emissive>")
+    assert color == (0.0, 1.0, 0.0, 1.0)
+    assert warned(warnings, "<emissive>", "does not glow")
+
+
+@rule(FORMAT, "material/pbr/metal/metalness, roughness", "done", "of worlds")
+def test_metalness_and_roughness_are_drawn(tmp_path: Path) -> None:
+    metal = "<pbr><metal><metalness>0.25</metalness><roughness>0.75</roughness></metal></pbr>"
+    visual = f'<visual name="v">{BOX}<material><diffuse>1 0 0 1</diffuse>{metal}</material></visual>'
+    (item,) = world(tmp_path, f'<model name="m"><link name="l">{visual}</link></model>').visuals
+    assert item.appearance is not None
+    assert (item.appearance.metallic, item.appearance.roughness) == (0.25, 0.75)
+
+
+@rule(FORMAT, "material/pbr/metal/metalness, roughness", "left out", "of bodies")
+def test_metalness_of_a_body_is_named(tmp_path: Path) -> None:
+    material = "<material><pbr><metal><roughness>0.5</roughness></metal></pbr></material>"
+    got = body(tmp_path, f'<link name="l"><visual name="v">{BOX}{material}</visual></link>').model
+    assert warned(got.warnings, "metalness and roughness of a body")
+
+
+@rule(FORMAT, "material/pbr: maps", "left out", "unless the mesh has textures of its own; the diffuse colour is drawn")
+def test_textures_of_pbr_materials_are_named(tmp_path: Path) -> None:
+    maps = "<pbr><metal><albedo_map>a.png</albedo_map><normal_map>n.png</normal_map></metal></pbr>"
+    color, warnings = _color(tmp_path, f"<diffuse>1 0 0 1</diffuse>{maps}")
+    assert color == (1.0, 0.0, 0.0, 1.0)
+    assert warned(warnings, "texture a.png and 1 more of its <pbr> material are not drawn")
+
+
+@rule(FORMAT, "material/script", "approximated", "Gazebo's plain colours; others are named")
+def test_scripts_of_gazebo_are_colours(tmp_path: Path) -> None:
+    assert _color(tmp_path, "<script><name>Gazebo/Red</name></script>") == ((1.0, 0.0, 0.0, 1.0), ())
+    assert warned(_color(tmp_path, "<script><name>My/Wood</name></script>")[1], "material script My/Wood is not read")
+
+
+@rule(FORMAT, "visual/transparency", "done")
+def test_transparency_is_opacity(tmp_path: Path) -> None:
+    assert _color(tmp_path, "<diffuse>1 0 0 1</diffuse>", "<transparency>0.25</transparency>")[0] == (1.0, 0.0, 0.0, 0.75)
+
+
+@rule(FORMAT, "visual/transparency", "approximated", "a mesh with its own colours stays opaque")
+def test_transparency_of_a_mesh_is_named(tmp_path: Path) -> None:
+    _mesh(tmp_path)
+    visual = '<visual name="v"><geometry><mesh><uri>a.obj</uri></mesh></geometry><transparency>0.5</transparency></visual>'
+    assert warned(world(tmp_path, f'<model name="m"><link name="l">{visual}</link></model>').warnings, "<transparency>", "opaque")
+
+
+# Masses
+
+
+def _inertial(
+    folder: Path, content: str, attributes: str = "", shapes: str = ""
+) -> tuple[float, np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Returns mass, centre (3,), inertia (ixx, ixy, ixz, iyy, iyz, izz), and the warnings."""
+    got = body(folder, f'<link name="l"><inertial{attributes}>{content}</inertial>{shapes}</link>').model
+    inertial = got.links[-1].inertial
+    assert inertial is not None
+    return inertial.mass, np.array(inertial.pose.position), np.array(inertial.inertia), got.warnings
+
+
+def _solid(geometry: str, more: str = "") -> str:
+    return f'<collision name="c">{more}<geometry>{geometry}</geometry></collision>'
+
+
+@rule(FORMAT, "<inertial>", "done", "mass 1 kg and inertia 1 kg m^2 about each axis by default")
+def test_masses_and_inertias_are_read(tmp_path: Path) -> None:
+    inertia = "<inertia><ixx>2</ixx><ixy>0.1</ixy><ixz>0.2</ixz><iyy>3</iyy><iyz>0.3</iyz><izz>4</izz></inertia>"
+    mass, center, moments, _ = _inertial(tmp_path, f"<pose>1 2 3 0 0 0</pose><mass>5</mass>{inertia}")
+    assert (mass, center.tolist(), moments.tolist()) == (5.0, [1, 2, 3], [2, 0.1, 0.2, 3, 0.3, 4])
+    mass, _, moments, _ = _inertial(tmp_path, "")
+    assert (mass, moments.tolist()) == (1.0, [1, 0, 0, 1, 0, 1])
+
+
+@rule(FORMAT, '<inertial auto="true">', "done", "box, sphere, cylinder, capsule, ellipsoid, cone and closed meshes")
+@pytest.mark.parametrize(
+    ("geometry", "volume", "moments", "z"),
+    [
+        ("<box><size>1 2 3</size></box>", 6.0, (13 / 12, 10 / 12, 5 / 12), 0.0),
+        ("<sphere><radius>0.5</radius></sphere>", math.pi / 6, (0.1, 0.1, 0.1), 0.0),
+        ("<cylinder><radius>1</radius><length>2</length></cylinder>", 2 * math.pi, (7 / 12, 7 / 12, 0.5), 0.0),
+        ("<ellipsoid><radii>1 2 3</radii></ellipsoid>", 8 * math.pi, (13 / 5, 10 / 5, 5 / 5), 0.0),
+        ("<cone><radius>1</radius><length>2</length></cone>", 2 * math.pi / 3, (0.3, 0.3, 0.3), -0.5),
+        ("<mesh><uri>../../worlds/a.obj</uri></mesh>", 1.0, (1 / 6, 1 / 6, 1 / 6), 0.5),
+    ],
+)
+def test_auto_inertia_is_that_of_the_solid(
+    tmp_path: Path, geometry: str, volume: float, moments: tuple[float, ...], z: float
+) -> None:
+    _mesh(tmp_path)
+    mass, center, got, warnings = _inertial(tmp_path, "<density>100</density>", ' auto="true"', _solid(geometry))
+    assert mass == pytest.approx(100 * volume, rel=1e-9)
+    assert center[2] == pytest.approx(z, abs=1e-9)
+    np.testing.assert_allclose(got[[0, 3, 5]] / mass, moments, rtol=1e-9)
+    assert not warnings
+
+
+def test_auto_inertia_of_a_capsule_is_that_of_its_parts(tmp_path: Path) -> None:
+    capsule = _solid("<capsule><radius>1</radius><length>2</length></capsule>")
+    mass, _, got, _ = _inertial(tmp_path, "<density>1</density>", ' auto="true"', capsule)
+    tube, ball = 2 * math.pi, 4 / 3 * math.pi
+    # Half spheres: 83/320 r^2 about their centres of mass, which are 3/8 r beyond the ends of the tube.
+    side = tube * (1 / 4 + 4 / 12) + ball * (83 / 320 + (1 + 3 / 8) ** 2)
+    assert mass == pytest.approx(tube + ball, rel=1e-12)
+    np.testing.assert_allclose(got[[0, 3, 5]], [side, side, tube / 2 + ball * 2 / 5], rtol=1e-9)
+
+
+@rule(FORMAT, "collision/density", "done", "else that of the <inertial>, else 1000 kg/m^3, with a warning")
+def test_density_of_a_collision_comes_first(tmp_path: Path) -> None:
+    box = "<box><size>1 1 1</size></box>"
+    shapes = _solid(box, "<pose>-1 0 0 0 0 0</pose><density>300</density>") + _solid(box, "<pose>1 0 0 0 0 0</pose>")
+    mass, center, got, _ = _inertial(tmp_path, "<density>100</density>", ' auto="true"', shapes)
+    assert (mass, center.tolist()) == (400.0, pytest.approx([-0.5, 0, 0]))
+    # Parallel axes: 400 / 6, and 300 * 0.5^2 + 100 * 1.5^2.
+    np.testing.assert_allclose(got[[0, 3, 5]], [400 / 6, 400 / 6 + 300, 400 / 6 + 300])
+    assert warned(_inertial(tmp_path, "", ' auto="true"', _solid(box))[3], "1000 kg/m^3")
+
+
+@rule(FORMAT, "inertial/mass with auto", "done", "SDF 1.12: the inertia is scaled to the mass")
+def test_a_mass_scales_the_auto_inertia(tmp_path: Path) -> None:
+    mass, _, got, warnings = _inertial(tmp_path, "<mass>6</mass>", ' auto="true"', _solid("<box><size>1 1 1</size></box>"))
+    assert mass == 6.0
+    np.testing.assert_allclose(got[[0, 3, 5]], 1.0)
+    assert not warnings
+
+
+@rule(FORMAT, "<auto_inertia_params>", "left out", "the volume of meshes is exact")
+def test_parameters_of_auto_inertia_are_named(tmp_path: Path) -> None:
+    content = "<density>1</density><auto_inertia_params><voxel_size>0.1</voxel_size></auto_inertia_params>"
+    warnings = _inertial(tmp_path, content, ' auto="true"', _solid("<box><size>1 1 1</size></box>"))[3]
+    assert warned(warnings, "<auto_inertia_params> of model m")
+
+
+@rule(FORMAT, '<inertial auto="true">', "refused", "without a <collision> that encloses a volume")
+def test_auto_inertia_without_a_volume_is_refused(tmp_path: Path) -> None:
+    got = body(tmp_path, '<link name="l"><inertial auto="true"/></link>').model
+    assert warned(got.warnings, "link l", "auto is true, but no <collision> encloses a volume")
+
+
+# Joints
+
+LINKS = '<link name="a"/><link name="b"><pose>1 0 0 0 0 0</pose></link><link name="c"><pose>2 0 0 0 0 0</pose></link>'
+
+
+def _joint(name: str, kind: str, parent: str, child: str, inside: str = "") -> str:
+    return f'<joint name="{name}" type="{kind}"><parent>{parent}</parent><child>{child}</child>{inside}</joint>'
+
+
+@rule(FORMAT, "joint[type]", "done", "revolute, continuous, prismatic, fixed")
+@pytest.mark.parametrize(
+    ("kind", "got"), [("revolute", "continuous"), ("continuous", "continuous"), ("prismatic", "prismatic"), ("fixed", "fixed")]
+)
+def test_joints_have_their_types(tmp_path: Path, kind: str, got: str) -> None:
+    content = LINKS + _joint("j", kind, "a", "b", "<axis><xyz>0 0 1</xyz></axis>") + _joint("k", "fixed", "b", "c")
+    assert body(tmp_path, content).model.joint("j").kind == got
+
+
+@rule(FORMAT, "joint[type]", "left out", "ball, universal, revolute2, screw, gearbox: fixed")
+@pytest.mark.parametrize("kind", ["ball", "universal", "revolute2", "screw", "gearbox"])
+def test_joints_that_are_not_simulated_are_fixed(tmp_path: Path, kind: str) -> None:
+    got = body(tmp_path, LINKS + _joint("j", kind, "a", "b") + _joint("k", "fixed", "b", "c")).model
+    assert got.joint("j").kind == "fixed"
+    assert warned(got.warnings, f"'{kind}' is not simulated")
+
+
+@rule(FORMAT, "axis/limit, axis/dynamics", "done", "limits, effort, velocity, damping, friction")
+@rule(FORMAT, "axis/xyz[expressed_in]", "done")
+def test_axes_have_limits_dynamics_and_a_frame(tmp_path: Path) -> None:
+    limit = "<limit><lower>-1</lower><upper>2</upper><effort>3</effort><velocity>4</velocity></limit>"
+    axis = f'<axis><xyz expressed_in="__model__">1 0 0</xyz>{limit}<dynamics><damping>5</damping><friction>6</friction></dynamics></axis>'
+    turned = f'<link name="a"/><link name="b"><pose>1 0 0 0 0 {QUARTER}</pose></link>'
+    got = body(tmp_path, turned + _joint("j", "revolute", "a", "b", axis)).model.joint("j")
+    assert (got.lower, got.upper, got.effort, got.velocity, got.damping, got.friction) == (-1, 2, 3, 4, 5, 6)
+    assert got.axis == pytest.approx((0, -1, 0))
+
+
+@rule(FORMAT, "axis/mimic", "done", "multiplier, offset, reference; chains")
+def test_an_axis_follows_its_leader(tmp_path: Path) -> None:
+    axis = "<axis><xyz>0 0 1</xyz>{}</axis>"
+    mimic = '<mimic joint="j"><multiplier>2</multiplier><offset>0.5</offset><reference>0.25</reference></mimic>'
+    content = LINKS + _joint("j", "revolute", "a", "b", axis.format("")) + _joint("k", "revolute", "b", "c", axis.format(mimic))
+    got = body(tmp_path, content).model.joint("k")
+    assert got.mimic is not None
+    # 2 (q - 0.25) + 0.5 = 2 q
+    assert (got.mimic.leader, got.mimic.position(1.0)) == ("j", 2.0)
+
+
+@rule(FORMAT, "axis/mimic", "refused", "a leader that does not exist, or a cycle")
+def test_a_mimic_without_a_leader_is_named(tmp_path: Path) -> None:
+    axis = '<axis><xyz>0 0 1</xyz><mimic joint="gone"><multiplier>2</multiplier></mimic></axis>'
+    got = body(tmp_path, LINKS + _joint("j", "revolute", "a", "b", axis) + _joint("k", "fixed", "b", "c")).model
+    assert warned(got.warnings, "'gone'", "not a movable joint")
+
+
+@rule(FORMAT, "axis/dynamics/spring_stiffness, spring_reference", "left out", "nothing pulls the joint back")
+def test_springs_are_named(tmp_path: Path) -> None:
+    axis = "<axis><xyz>0 0 1</xyz><dynamics><spring_stiffness>3</spring_stiffness><spring_reference>1</spring_reference></dynamics></axis>"
+    got = body(tmp_path, LINKS + _joint("j", "revolute", "a", "b", axis) + _joint("k", "fixed", "b", "c")).model
+    assert warned(got.warnings, "joint j", "spring", "is not simulated")
+
+
+# Surfaces
+
+
+def _surface(folder: Path, surface: str) -> SceneSpec:
+    collision = f'<collision name="c">{BOX}<surface>{surface}</surface></collision>'
+    return world(folder, f'<model name="m"><static>1</static><link name="l">{collision}{VISUAL}</link></model>')
+
+
+@rule(
+    FORMAT,
+    "surface/friction/ode/mu, bullet/friction",
+    "done",
+    "of worlds up to 1 (the coefficients of two surfaces are multiplied), of bodies all",
+)
+@pytest.mark.parametrize(("mu", "friction"), [("0.1", 0.1), ("100", 1.0)])
+@pytest.mark.parametrize("engine", ["<ode><mu>{}</mu></ode>", "<bullet><friction>{}</friction></bullet>"])
+def test_friction_of_a_world_is_read(tmp_path: Path, engine: str, mu: str, friction: float) -> None:
+    scene = _surface(tmp_path, f"<friction>{engine.format(mu)}</friction>")
+    assert [c.friction for c in scene.collisions] == [friction]
+    assert not scene.warnings
+
+
+def test_friction_of_the_ground_is_read(tmp_path: Path) -> None:
+    surface = "<surface><friction><ode><mu>0.2</mu></ode></friction></surface>"
+    plane = f'<collision name="c"><geometry><plane/></geometry>{surface}</collision>'
+    assert world(tmp_path, f'<model name="g"><static>1</static><link name="l">{plane}</link></model>').ground_friction == 0.2
+
+
+@rule(
+    FORMAT,
+    "surface: mu2, fdir1, slip, torsional, bounce, contact",
+    "left out",
+    "contacts are rigid, do not bounce, and have one friction coefficient",
+)
+@pytest.mark.parametrize(
+    ("surface", "tag"),
+    [
+        ("<friction><ode><mu>1</mu><mu2>0.5</mu2></ode></friction>", "mu2"),
+        ("<friction><ode><fdir1>1 0 0</fdir1></ode></friction>", "fdir1"),
+        ("<friction><ode><slip1>0.1</slip1></ode></friction>", "slip1"),
+        ("<friction><torsional><coefficient>1</coefficient></torsional></friction>", "torsional"),
+        ("<friction><bullet><rolling_friction>0.1</rolling_friction></bullet></friction>", "rolling_friction"),
+        ("<bounce><restitution_coefficient>0.5</restitution_coefficient></bounce>", "restitution_coefficient"),
+        ("<contact><ode><kp>1e5</kp></ode></contact>", "kp"),
+        ("<contact><collide_bitmask>0x01</collide_bitmask></contact>", "collide_bitmask"),
+        ("<soft_contact><dart/></soft_contact>", "soft_contact"),
+    ],
+)
+def test_properties_of_surfaces_without_a_counterpart_are_named(tmp_path: Path, surface: str, tag: str) -> None:
+    assert warned(_surface(tmp_path, surface).warnings, f"<{tag}> of model m")
+
+
+# Lights
+
+
+@rule(
+    FORMAT,
+    "<light>",
+    "done",
+    "directional, point and spot; direction, diffuse, intensity, light_on, attenuation, angles; of the world and of links",
+)
+def test_lights_of_links_shine_and_have_an_intensity(tmp_path: Path) -> None:
+    light = '<light name="lamp" type="point"><pose>0 0 1 0 0 0</pose><diffuse>1 1 1 1</diffuse><intensity>2</intensity></light>'
+    off = '<light name="off" type="point"><diffuse>1 1 1 1</diffuse><light_on>false</light_on></light>'
+    link = f'<link name="l"><pose>1 2 3 0 0 0</pose>{VISUAL}{light}{off}</link>'
+    (lamp,) = world(tmp_path, f'<model name="m"><static>1</static>{link}</model>', lamps=True).light.points
+    assert (lamp.position, lamp.strength) == ((1.0, 2.0, 4.0), 0.5)
+
+
+@rule(
+    FORMAT,
+    "light: specular, cast_shadows, spot/falloff",
+    "left out",
+    "highlights and shadows are those of the renderer; spots fade linearly",
+)
+def test_parts_of_lights_without_a_counterpart_are_named(tmp_path: Path) -> None:
+    light = (
+        '<light name="sun" type="directional"><diffuse>1 1 1 1</diffuse><specular>0.5 0.5 0.5 1</specular><cast_shadows>1</cast_shadows>'
+        '</light><light name="s" type="spot"><spot><falloff>0.8</falloff></spot></light>'
+    )
+    warnings = world(tmp_path, f'{light}<model name="m"><link name="l">{VISUAL}</link></model>').warnings
+    assert warned(warnings, "<specular>", "<cast_shadows>")
+    assert warned(warnings, "<falloff>")
+
+
+@rule(FORMAT, "<light> of a body", "left out", "it does not shine")
+def test_lights_of_bodies_are_named(tmp_path: Path) -> None:
+    got = body(tmp_path, f'<link name="l">{VISUAL}<light name="led" type="point"/></link>').model
+    assert warned(got.warnings, "light 'led' of a body does not shine")
+
+
+@rule(FORMAT, "include of a <light>", "done")
+def test_a_light_is_included_from_its_file(tmp_path: Path) -> None:
+    folder = tmp_path / "scene" / "models" / "sun"
+    folder.mkdir(parents=True)
+    light = '<light name="sun" type="directional"><diffuse>1 0 0 1</diffuse><direction>0 0 -1</direction></light>'
+    (folder / "model.sdf").write_text(f'<sdf version="1.7">{light}</sdf>')
+    scene = world(tmp_path, f'<include><uri>model://sun</uri></include><model name="m"><link name="l">{VISUAL}</link></model>')
+    assert (scene.light.sun_direction, scene.light.sun_color) == ((0, 0, -1), (1, 0, 0))
+
+
+# What the simulator does not have
+
+SIMPLE = f'<model name="m"><static>1</static><link name="l">{VISUAL}</link></model>'
+
+
+@rule(FORMAT, "scene/ambient, scene/background, gravity", "done")
+def test_ambient_background_and_gravity_are_read(tmp_path: Path) -> None:
+    scene = world(
+        tmp_path,
+        f"<gravity>0 0 -1.6</gravity><scene><ambient>0.3 0.3 0.3 1</ambient><background>0 0 1 1</background></scene>{SIMPLE}",
+    )
+    assert (scene.gravity, scene.light.background) == ((0, 0, -1.6), (0, 0, 1))
+    assert scene.light.ambient == pytest.approx(0.3)
+    assert not scene.warnings
+
+
+@rule(FORMAT, "<model> of a world", "approximated", "fixed, as if <static>; spawn what should move")
+def test_models_of_a_world_that_move_are_named(tmp_path: Path) -> None:
+    scene = world(tmp_path, f'{SIMPLE}<model name="ball"><link name="l">{VISUAL}</link></model>')
+    assert scene.warnings == ("ball: not <static>, but fixed, as all models of a world; spawn what should move",)
+
+
+@rule(
+    FORMAT,
+    "world: physics, plugin, gui, audio, wind, atmosphere, magnetic_field, spherical_coordinates, state, joint",
+    "left out",
+    "the simulator has its own, or none",
+)
+@rule(FORMAT, "scene: sky, fog, shadows, grid, origin_visual", "left out", "the background has one colour")
+@pytest.mark.parametrize(
+    "content",
+    [
+        '<physics type="ode"><max_step_size>0.001</max_step_size></physics>', '<plugin name="p" filename="f"/>', "<gui/>",
+        '<audio><device>d</device></audio>', "<wind/>", '<atmosphere type="adiabatic"/>', "<magnetic_field>0 0 1</magnetic_field>",
+        "<spherical_coordinates/>", '<state world_name="w"/>', _joint("j", "fixed", "world", "m"), "<scene><sky/></scene>",
+        "<scene><fog/></scene>", "<scene><shadows>1</shadows></scene>", "<scene><grid>1</grid></scene>",
+        "<scene><origin_visual>1</origin_visual></scene>",
+    ],
+)  # fmt: skip
+def test_elements_of_worlds_without_a_counterpart_are_named(tmp_path: Path, content: str) -> None:
+    element = ElementTree.fromstring(content)
+    tag = element[0].tag if element.tag == "scene" else element.tag
+    assert warned(world(tmp_path, content + SIMPLE).warnings, f"<{tag}>", "left out")
+
+
+@rule(FORMAT, "<actor>, <population>, <road>", "left out", "walking people are part of trials")
+@pytest.mark.parametrize("tag", ["actor", "population", "road"])
+def test_actors_populations_and_roads_are_named(tmp_path: Path, tag: str) -> None:
+    assert warned(world(tmp_path, f'<{tag} name="x"/>{SIMPLE}').warnings, f"<{tag}> 'x' is not supported; left out")
+
+
+@rule(
+    FORMAT,
+    "link: sensor, projector, particle_emitter, audio_sink, audio_source, battery, velocity_decay, gravity, kinematic, enable_wind, self_collide",
+    "left out",
+    "robots have sensors; the rest is not simulated",
+)
+@rule(FORMAT, "model: plugin, gripper, self_collide, enable_wind, allow_auto_disable", "left out", "plugins are not run")
+@pytest.mark.parametrize(
+    "content",
+    [
+        '<sensor name="s" type="camera"/>', '<projector name="p"/>', '<particle_emitter name="e" type="box"/>', "<audio_sink/>",
+        "<audio_source><uri>a</uri></audio_source>", '<battery name="b"/>', "<velocity_decay><linear>0.1</linear></velocity_decay>",
+        "<gravity>0</gravity>", "<kinematic>1</kinematic>", "<enable_wind>1</enable_wind>", "<self_collide>1</self_collide>",
+    ],
+)  # fmt: skip
+def test_elements_of_links_without_a_counterpart_are_named(tmp_path: Path, content: str) -> None:
+    element = ElementTree.fromstring(content)
+    tag = element[0].tag if element.tag == "velocity_decay" else element.tag
+    got = body(tmp_path, f'<link name="l">{VISUAL}{content}</link>').model
+    assert warned(got.warnings, f"<{tag}>", "left out")
+    if tag in ("self_collide", "enable_wind"):
+        assert warned(body(tmp_path, f'{content}<link name="l">{VISUAL}</link>').model.warnings, f"<{tag}>", "left out")
+
+
+@pytest.mark.parametrize(
+    "content", ['<plugin name="p" filename="f"/>', '<gripper name="g"/>', "<allow_auto_disable>0</allow_auto_disable>"]
+)
+def test_elements_of_models_without_a_counterpart_are_named(tmp_path: Path, content: str) -> None:
+    tag = ElementTree.fromstring(content).tag
+    assert warned(body(tmp_path, f'{content}<link name="l">{VISUAL}</link>').model.warnings, f"<{tag}>", "left out")
+
+
+@rule(FORMAT, "visual: cast_shadows, laser_retro, visibility_flags, meta, plugin", "left out", "cameras see all visuals")
+@rule(FORMAT, "collision: laser_retro, max_contacts", "left out", "lidars return no intensity of single objects")
+@pytest.mark.parametrize(
+    "content",
+    [
+        "<cast_shadows>0</cast_shadows>", "<laser_retro>5</laser_retro>", "<visibility_flags>1</visibility_flags>",
+        "<meta><layer>2</layer></meta>", '<plugin name="p" filename="f"/>',
+    ],
+)  # fmt: skip
+def test_elements_of_visuals_without_a_counterpart_are_named(tmp_path: Path, content: str) -> None:
+    element = ElementTree.fromstring(content)
+    tag = element[0].tag if element.tag == "meta" else element.tag
+    got = body(tmp_path, f'<link name="l"><visual name="v">{BOX}{content}</visual></link>').model
+    assert warned(got.warnings, f"<{tag}>", "left out")
+
+
+@rule(
+    FORMAT,
+    "material: specular, shininess, shader, lighting, render_order, double_sided",
+    "left out",
+    "highlights follow metalness and roughness",
+)
+@pytest.mark.parametrize("content", ["<specular>1 1 1 1</specular>", "<lighting>0</lighting>", "<double_sided>1</double_sided>"])
+def test_parts_of_materials_without_a_counterpart_are_named(tmp_path: Path, content: str) -> None:
+    assert warned(_color(tmp_path, content)[1], f"<{ElementTree.fromstring(content).tag}>", "left out")
+
+
+@rule(
+    FORMAT,
+    "unknown elements",
+    "left out",
+    "those that SDF does not have are named; elements with a prefix, such as `<gz:type>`, are extensions of others",
+)
+def test_elements_that_sdf_does_not_have_are_named(tmp_path: Path) -> None:
+    got = body(tmp_path, f'<link name="l">{VISUAL}<colour>red</colour></link>').model
+    assert warned(got.warnings, "<colour> in <link>: unknown in SDF")

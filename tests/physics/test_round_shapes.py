@@ -93,3 +93,17 @@ def test_a_box_rests_on_top_of_a_fixed_one(shape: Shape, fixed: str) -> None:
         world.add(BodySpec("box", box.model, pose_from_xyz_rpy((0.0, 0.0, 1.11 + HALF[shape.kind][2]))))
         world.step(20)  # before it falls off
         assert world.body_pose("box").position[2] == pytest.approx(1.1 + HALF[shape.kind][2], abs=2e-3)
+
+
+@pytest.mark.parametrize("shape", ["ground", "box"])
+@pytest.mark.parametrize(("friction", "slides"), [(1.0, False), (0.1, True)])
+def test_friction_of_the_world_decides_whether_a_box_slides(shape: str, friction: float, slides: bool) -> None:
+    # Gravity is 17 degrees off the vertical: a box with a coefficient of 0.5 stays on ground with 1, and slides on one with 0.1.
+    slab = CollisionSpec("slab", Shape("box", (40.0, 40.0, 0.1)), pose_from_xyz_rpy((0.0, 0.0, -0.05)), friction)
+    collisions = (slab,) if shape == "box" else ()
+    ground_z = 0.0 if shape == "ground" else None
+    scene = SceneSpec("ice", Path("/nowhere"), "0", (), collisions, ground_z, gravity=(3.0, 0.0, -9.81), ground_friction=friction)
+    with PhysicsWorld(scene) as world:
+        world.add(_body(Shape("box", (0.2, 0.2, 0.1)), 0.05))
+        world.step(240)
+        assert (world.body_pose("m").position[0] > 0.5) == slides

@@ -72,7 +72,7 @@ class Bullet:
         self._ray_threads = min(4, os.cpu_count() or 1)
         self._shapes: list[_Shape] = []
         """Shapes for static bodies; methods refer to them by their index."""
-        self._placed: list[tuple[Sequence[int], Pose, str]] = []
+        self._placed: list[tuple[Sequence[int], Pose, str, float]] = []
         """Arguments of all calls of ``add_static``."""
         self._begin()
 
@@ -104,8 +104,8 @@ class Bullet:
         self._begin()
         for shape in self._shapes:
             shape.uid = self._create_shape(shape)
-        for shapes, pose, name in self._placed:
-            self._place_static(shapes, pose, name)
+        for placed in self._placed:
+            self._place_static(*placed)
 
     @property
     def client(self) -> int:
@@ -179,12 +179,12 @@ class Bullet:
         """Returns the engine id of a shape, valid until the next ``reset``."""
         return self._shapes[shape].uid
 
-    def add_static(self, shapes: Sequence[int], pose: Pose, name: str) -> None:
-        """Adds shapes to the world permanently; a shape may be added several times."""
-        self._place_static(shapes, pose, name)
-        self._placed.append((shapes, pose, name))
+    def add_static(self, shapes: Sequence[int], pose: Pose, name: str, friction: float = 1.0) -> None:
+        """Adds shapes with a friction coefficient to the world permanently; a shape may be added several times."""
+        self._place_static(shapes, pose, name, friction)
+        self._placed.append((shapes, pose, name, friction))
 
-    def _place_static(self, shapes: Sequence[int], pose: Pose, name: str) -> None:
+    def _place_static(self, shapes: Sequence[int], pose: Pose, name: str, friction: float) -> None:
         for shape in shapes:
             # Rigid bodies, not multi-bodies: Bullet visits every multi-body in every step, even static ones.
             uid = p.createMultiBody(
@@ -200,7 +200,7 @@ class Bullet:
             p.changeDynamics(
                 uid,
                 -1,
-                lateralFriction=1.0,
+                lateralFriction=friction,
                 restitution=0.0,
                 # PyBullet leaves it active, and Bullet would then check contacts of sleeping bodies with it in every step.
                 activationState=p.ACTIVATION_STATE_SLEEP,

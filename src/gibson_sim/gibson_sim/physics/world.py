@@ -517,13 +517,13 @@ def _add_static_shapes(bullet: Bullet, scene: SceneSpec) -> list[str]:
     """Adds the ground and all collision shapes of a scene to the engine; returns one line for each omitted shape."""
     warnings: list[str] = []
     if scene.ground_z is not None:
-        bullet.add_static(bullet.plane_shape(), Pose((0.0, 0.0, scene.ground_z)), GROUND)
+        bullet.add_static(bullet.plane_shape(), Pose((0.0, 0.0, scene.ground_z)), GROUND, scene.ground_friction)
     loader = MeshLoader(scene_roots(scene), textures=False)
     known: dict[Shape, Sequence[int]] = {}
     for collision in scene.collisions:
         if collision.shape not in known:
             known[collision.shape] = _static_shape(bullet, loader, collision.shape, collision.name, warnings)
-        bullet.add_static(known[collision.shape], collision.pose, collision.name)
+        bullet.add_static(known[collision.shape], collision.pose, collision.name, collision.friction)
     return warnings
 
 

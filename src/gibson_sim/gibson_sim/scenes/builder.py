@@ -81,6 +81,7 @@ class SceneBuilder:
         self._body_loader = MeshLoader(None, textures=False, max_bytes=max_bytes)
         self.gravity: Vec3 = (0.0, 0.0, -9.81)
         self.ground_z: float | None = None
+        self.ground_friction = 1.0
         self.floor_z: float | None = None
         self.floors: tuple[float, ...] = ()
         self.light = LightSpec()
@@ -241,9 +242,10 @@ class SceneBuilder:
         self.splats = SplatsSpec(str(real), pose_from_matrix(rotated), scale)
         self._files[real] = None
 
-    def add_collision(self, name: str, shape: Shape, matrix: F64) -> None:
-        """Adds a collision shape at T_world_shape, ``matrix`` (4, 4)."""
-        self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose_from_matrix(matrix)))
+    def add_collision(self, name: str, shape: Shape, matrix: F64, friction: float = 1.0) -> None:
+        """Adds a collision shape with a friction coefficient at T_world_shape, ``matrix`` (4, 4)."""
+        pose = pose_from_matrix(matrix)
+        self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose, friction))
 
     def add_simplified_collision(self, name: str, shape: Shape, matrix: F64) -> None:
         """Adds the simplified collision shapes of a scan at T_world_shape, under one name: boxes for its floors, few triangles for the rest.
@@ -278,6 +280,7 @@ class SceneBuilder:
             self.name, self.root, self.digest(), tuple(self.visuals), tuple(self.collisions), self.ground_z, floor_z,
             self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings), bodies=tuple(self.bodies),
             other_floors=self.floors, rooms=tuple(self.rooms), floor_estimated=self.floor_z is None, splats=self.splats,
+            ground_friction=self.ground_friction,
         )  # fmt: skip
 
     def digest(self) -> str:

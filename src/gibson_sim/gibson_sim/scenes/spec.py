@@ -29,6 +29,8 @@ class CollisionSpec:
     shape: Shape
     pose: Pose = field(default_factory=Pose)
     """T_world_shape."""
+    friction: float = 1.0
+    """Coulomb friction, 0 to 1; the engine multiplies it with that of the robot or body."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +178,8 @@ class SceneSpec:
     """Whether ``floor_z`` is an estimate: the height with the most up-facing area in the lowest metre."""
     splats: SplatsSpec | None = None
     """Splats that are drawn over the visuals; None = no splats."""
+    ground_friction: float = 1.0
+    """Coulomb friction of the ground plane, as that of a ``CollisionSpec``."""
 
     @property
     def floors(self) -> tuple[float, ...]:

@@ -20,17 +20,20 @@ from gibson_sim.geometry.transforms import invert, pose_from_matrix
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.sdf.elements import F64, Element, is_true, name_of, numbers, pose_matrix, text_of
 from gibson_sim.scenes.sdf.geometry import PlacedShape
+from gibson_sim.scenes.sdf.inertia import solid_of, sum_of
 from gibson_sim.scenes.sdf.joints import JointAxis, read_axis
 from gibson_sim.scenes.sdf.materials import is_visible, look_of
-from gibson_sim.scenes.sdf.model import SdfModels
+from gibson_sim.scenes.sdf.model import SdfModels, friction_of
 from gibson_sim.scenes.sdf.scopes import MODEL, WORLD, Scope
-from gibson_sim.types import Pose
+from gibson_sim.types import Pose, Vec3
 
 MAX_LINKS = 500
 _SCOPE = "__"
 """Separator between the name of a nested model and that of its link, in place of SDF's ``::``."""
 _MODEL_FRAME = "model_frame"
 """Name of the added root link if no link is at the model's frame."""
+_WATER = 1000.0
+"""Density of shapes without one, kg/m^3."""
 _INERTIA = {"ixx": 1.0, "ixy": 0.0, "ixz": 0.0, "iyy": 1.0, "iyz": 0.0, "izz": 1.0}
 """Default inertia of SDF, kg m^2."""
 
@@ -147,8 +150,11 @@ class SdfBodyReader:
                             f"{where}: a plane of a body collides as a plate of its <size>, {x:g} x {y:g} m, not as an infinite plane"
                         )
                     collisions.append(UrdfCollision(placed.shape, pose_from_matrix(placed.matrix)))
-            inertial = self._inertial(link.element, name)
+            for light in link.element.iterfind("light"):
+                self.builder.warn(f"{where}: light {quoted(name_of(light))} of a body does not shine")
+            inertial = self._inertial(link, name)
             links[name] = UrdfLink(name, tuple(visuals), tuple(collisions), inertial, self._friction(link.element, name))
+        self.models.left_out.report(self.builder.warn)
         return links
 
     def _shapes(self, link: _FlatLink, item: Element, name: str) -> Iterator[PlacedShape]:
@@ -156,12 +162,14 @@ class SdfBodyReader:
         T_link_scope = invert(link.T_root_link) @ link.T_root_scope
         return self.models.shapes.read(link.scope, item, T_link_scope, np.eye(4), f"{self.path.name}: link {name}")
 
-    def _inertial(self, element: Element, name: str) -> Inertial | None:
+    def _inertial(self, link: _FlatLink, name: str) -> Inertial | None:
         """Returns the mass and inertia of a link, None if it has no <inertial>; a missing <inertia> is SDF's default, 1 kg m^2 about each axis."""
-        item = element.find("inertial")
+        item = link.element.find("inertial")
         if item is None:
             return None
         where = f"link {name}: inertial"
+        if is_true(item.get("auto")):
+            return self._auto_inertial(link, item, name)
         mass = self._number(item, "mass", 1.0, where)
         inertia = item.find("inertia")
         source = item if inertia is None else inertia
@@ -169,14 +177,46 @@ class SdfBodyReader:
         pose = pose_from_matrix(pose_matrix(item, where, self.builder.warn))
         return Inertial(mass, pose, (ixx, ixy, ixz, iyy, iyz, izz))
 
+    def _auto_inertial(self, link: _FlatLink, item: Element, name: str) -> Inertial | None:
+        """Returns the mass and inertia of a link that SDF computes from the volume and density of its collision shapes."""
+        where = f"link {name}: inertial"
+        parts = []
+        for collision in link.element.iterfind("collision"):
+            density = self._density(collision, item, where)
+            for placed in self._shapes(link, collision, name):
+                part = None if placed.T_plane is not None else solid_of(placed.shape, self.builder.loader)
+                if part is None:
+                    self.builder.warn(f"{where}: a {placed.shape.kind} that encloses no volume adds no mass")
+                else:
+                    parts.append(part.scaled(density).moved(placed.matrix))
+        total = sum_of(parts)
+        if total is None:
+            text = f"{where}: auto is true, but no <collision> encloses a volume; give it one, or a <mass> and an <inertia>"
+            self.builder.warn(text, OmissionKind.INVALID)
+            return None
+        if text_of(item, "mass"):
+            total = total.scaled(self._number(item, "mass", total.mass, where) / total.mass)
+        i = total.inertia
+        center: Vec3 = (float(total.center[0]), float(total.center[1]), float(total.center[2]))
+        values = tuple(float(v) for v in (i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]))
+        return Inertial(total.mass, Pose(center), values)  # type: ignore[arg-type]
+
+    def _density(self, collision: Element, inertial: Element, where: str) -> float:
+        """Returns the density of a collision shape, kg/m^3: its own, else that of the <inertial>, else that of water."""
+        for element in (collision, inertial):
+            if text_of(element, "density"):
+                density = self._number(element, "density", _WATER, where)
+                if density > 0.0:
+                    return density
+                self.builder.warn(f"{where}: <density> is {density:g} kg/m^3, must be above 0", OmissionKind.INVALID)
+        if not text_of(inertial, "mass"):
+            self.builder.warn(f"{where}: no <density> is given; that of water, {_WATER:g} kg/m^3, is used")
+        return _WATER
+
     def _friction(self, element: Element, name: str) -> float | None:
         """Returns the friction coefficient of the link's first collision shape with one, else None."""
-        for path in ("surface/friction/ode", "surface/friction/bullet"):
-            for item in element.iterfind(f"collision/{path}"):
-                for key in ("mu", "friction"):
-                    if (item.findtext(key) or "").strip():
-                        return self._number(item, key, 0.5, f"link {name}: friction")
-        return None
+        found = (friction_of(item, f"link {name}", self.builder.warn) for item in element.iterfind("collision"))
+        return next((friction for friction in found if friction is not None), None)
 
     def _number(self, element: Element, key: str, default: float, where: str) -> float:
         text = (element.findtext(key) or "").strip()

@@ -17,8 +17,21 @@ from gibson_sim.formats.uris import UriResolver
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
-from gibson_sim.scenes.sdf.elements import F64, Element, is_true, name_of, pose_matrix, read_sdf, sdf_files, sdf_version, text_of
+from gibson_sim.scenes.sdf.elements import (
+    F64,
+    Element,
+    Warn,
+    is_true,
+    name_of,
+    numbers,
+    pose_matrix,
+    read_sdf,
+    sdf_files,
+    sdf_version,
+    text_of,
+)  # fmt: skip
 from gibson_sim.scenes.sdf.geometry import PlacedShape, SdfShapes
+from gibson_sim.scenes.sdf.left_out import LeftOut
 from gibson_sim.scenes.sdf.materials import is_visible, look_of
 from gibson_sim.scenes.sdf.scopes import WORLD, Frame, Scope, reference_of
 from gibson_sim.types import Rgba
@@ -44,6 +57,8 @@ class SdfModels:
         self.shapes = SdfShapes(builder, uris)
         self._documents: dict[Path, tuple[Element, tuple[int, ...]]] = {}
         self._count = 0
+        self.left_out = LeftOut()
+        """Elements that have no effect, of all models so far."""
         self.lights: list[tuple[Element, F64]] = []
         """Lights of the links of placed models, each with T_world_light, (4, 4)."""
 
@@ -82,6 +97,7 @@ class SdfModels:
         """Adds the frames and nested models of a scope."""
         if scope.element.tag == "model":
             self._count_model(scope.where, depth)
+            self.left_out.look(scope.element, scope.where)
         for child in scope.element:
             if child.tag in ("link", "frame", "joint") and not (child.tag == "link" and scope.element.tag == WORLD):
                 scope.add(name_of(child), Frame(child, scope))
@@ -242,11 +258,12 @@ class SdfModels:
             # If all visuals are missing, the collision shapes are drawn, so that the link is not an invisible obstacle.
             visuals_missing = bool(visuals) and not any(visuals)
             for element in link.iterfind("collision"):
+                friction = world_friction(element, where, self.builder.warn)
                 for item in self.shapes.read(scope, element, T_world_scope, T_world_link, where):
-                    if self._is_ground(item, where):
+                    if self._is_ground(item, friction, where):
                         continue
                     collision_count += 1
-                    self.builder.add_collision(top, item.shape, item.matrix)
+                    self.builder.add_collision(top, item.shape, item.matrix, friction)
                     if visuals_missing:
                         visual_count += 1
                         self.builder.add_visual(top, item.shape, item.matrix, _PLAIN_GREY, kind)
@@ -272,7 +289,7 @@ class SdfModels:
                 self.builder.add_collision(top, item.shape, item.matrix)
         return handled
 
-    def _is_ground(self, item: PlacedShape, where: str) -> bool:
+    def _is_ground(self, item: PlacedShape, friction: float, where: str) -> bool:
         """Returns whether a collision shape is a level plane, which becomes the ground of the scene; warns about other planes."""
         if item.T_plane is None:
             return False
@@ -283,8 +300,31 @@ class SdfModels:
             )
             return False
         height = float(item.T_plane[2, 3])
-        self.builder.ground_z = height if self.builder.ground_z is None else max(height, self.builder.ground_z)
+        if self.builder.ground_z is None or height >= self.builder.ground_z:
+            self.builder.ground_z, self.builder.ground_friction = height, friction
         return True
+
+
+def friction_of(collision: Element, where: str, warn: Warn) -> float | None:
+    """Returns the friction coefficient of a <collision>, None if it is not given or, with a warning, invalid."""
+    for path in ("ode/mu", "bullet/friction"):
+        text = text_of(collision, f"surface/friction/{path}")
+        if text:
+            value = numbers(text, (1,))
+            if value is not None:
+                return value[0]
+            tag = path.rpartition("/")[2]
+            warn(f"{where}: friction: <{tag}> is {quoted(text)}, must be a finite number", OmissionKind.INVALID)
+    return None
+
+
+def world_friction(collision: Element, where: str, warn: Warn) -> float:
+    """Returns the friction coefficient of a fixed shape, 0 to 1.
+
+    In Gazebo the smaller coefficient of two surfaces counts, here their product, which is the same if that of the world is 1.
+    """
+    friction = friction_of(collision, where, warn)
+    return 1.0 if friction is None else min(max(friction, 0.0), 1.0)
 
 
 def builtin_model(uri: str) -> str:

@@ -14,8 +14,9 @@ from gibson_sim.errors import SceneError
 from gibson_sim.formats.uris import UriResolver
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf.elements import F64, Element, numbers, read_sdf, sdf_version, text_of
+from gibson_sim.scenes.sdf.elements import F64, Element, is_true, numbers, read_sdf, sdf_version, text_of
 from gibson_sim.scenes.sdf.model import SdfModels
+from gibson_sim.scenes.sdf.scopes import Scope
 from gibson_sim.scenes.spec import LightSpec, PointLight
 from gibson_sim.types import Vec3
 
@@ -23,6 +24,8 @@ _SUN = 0.7
 """Strength of a directional light with white diffuse colour; below 1, since ambient and specular light are added."""
 _LAMP = 0.25
 """Strength of a point or spot light with white diffuse colour; low, since without shadows it also lights adjacent rooms."""
+_MAX_NAMES = 4
+"""Maximum number of models that one warning names."""
 _MIN_AMBIENT = 0.2
 """Minimum ambient light, so that a scene without lights is not black."""
 
@@ -67,9 +70,23 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
         elif child.tag in ("actor", "population", "road"):
             text = f"<{child.tag}> {quoted(child.get('name', ''))} is not supported; left out"
             builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+    models.left_out.look(world, f"world {scope.name}")
+    models.left_out.report(builder.warn)
+    _name_moving(builder, scope)
     lights = [(light, scope.placed(light)) for light in world.iterfind("light")]
     lights += [(light, scope.placed(light, pose)) for light, pose in scope.lights] + models.lights
     builder.light = _light(world, lights, builder.sdf_lamps)
+
+
+def _name_moving(builder: SceneBuilder, scope: Scope) -> None:
+    """Warns about the models of a world that move in Gazebo."""
+    inner = [frame.inner for frame in scope.nested.values() if frame.inner is not None and not frame.inner.is_static]
+    names = list(dict.fromkeys(model.name for model in inner))
+    if names:
+        more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+        builder.warn(
+            f"{', '.join(names[:_MAX_NAMES])}{more}: not <static>, but fixed, as all models of a world; spawn what should move"
+        )
 
 
 def _world_of_models(root: Element) -> Element:
@@ -91,7 +108,7 @@ def _light(world: Element, all_lights: list[tuple[Element, F64]], with_lamps: bo
     default = LightSpec()
     ambient_rgb = numbers(world.findtext("scene/ambient"), (3, 4))
     ambient = default.ambient if ambient_rgb is None else float(np.clip(np.mean(ambient_rgb[:3]), 0.0, 1.0))
-    lights = [(light, matrix) for light, matrix in all_lights if text_of(light, "diffuse")]
+    lights = [(light, matrix) for light, matrix in all_lights if text_of(light, "diffuse") and _is_on(light)]
     lamps: tuple[PointLight, ...] = ()
     if with_lamps:
         lamps = tuple(filter(None, (_lamp(*light) for light in lights if light[0].get("type") in ("point", "spot"))))
@@ -120,8 +137,14 @@ def _color_and_strength(light: Element) -> tuple[Vec3, float]:
     """Returns the colour of a light, normalised to a maximum channel of 1, and its strength, 0 to 1."""
     rgb = [min(max(c, 0.0), 1.0) for c in (numbers(light.findtext("diffuse"), (3, 4)) or [0.8, 0.8, 0.8])[:3]]
     brightest = max(rgb)
-    mean = sum(rgb) / 3.0
+    intensity = numbers(light.findtext("intensity"), (1,)) or [1.0]
+    mean = sum(rgb) / 3.0 * max(intensity[0], 0.0)
     return ((rgb[0] / brightest, rgb[1] / brightest, rgb[2] / brightest), mean) if brightest > 0.0 else ((1.0, 1.0, 1.0), 0.0)
+
+
+def _is_on(light: Element) -> bool:
+    """Returns whether a light is switched on."""
+    return not text_of(light, "light_on") or is_true(light.findtext("light_on"))
 
 
 def _lamp(light: Element, matrix: F64) -> PointLight | None:
