@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gibson_sim.description.shapes import Appearance, VisualSpec
-from gibson_sim.formats.mesh import Material, Mesh
+from gibson_sim.description.shapes import Appearance, Shape, VisualSpec
+from gibson_sim.formats.mesh import Material, Mesh, Sampling, TextureSource
 from gibson_sim.render.lod.clusters import build_clusters
 from gibson_sim.render.renderer import Renderer
 from render.drawing import EYE, draw_mesh, facing_quad, loader_of, mesh_visual, scene, state
@@ -75,3 +75,51 @@ def test_coarser_levels_keep_the_borders_of_colours():
         return int(np.diff(c.ends, prepend=0)[rows].sum())
 
     assert drawn(colors) > 2 * drawn(None)
+
+
+def _texture(pixels, sampling: Sampling | None = None) -> TextureSource:
+    return TextureSource("test", np.array(pixels, dtype=np.uint8), sampling or Sampling())
+
+
+def test_they_multiply_a_texture_in_linear_light():
+    grey = _texture([[[188, 188, 188]]])  # 0.5 of the light
+    (part,) = facing_quad(1.0, 1.0, replace(WHITE, texture=grey)).parts
+    mesh = Mesh((replace(part, colors=np.full((4, 3), (255, 188, 0), dtype=np.uint8)),))
+    np.testing.assert_allclose(draw_mesh(mesh).rgb[32, 32], (188, 137, 0), atol=2)  # 0.5, 0.25 and 0 of the light
+
+
+@pytest.mark.parametrize("texture", [None, _texture([[[255, 255, 255]]])])
+def test_their_alpha_cuts_holes_and_blends(texture):
+    colors = np.full((4, 4), 255, dtype=np.uint8)
+    colors[:, 3] = 102  # 0.4
+    (part,) = facing_quad(1.0, 1.0, replace(WHITE, texture=texture, alpha_mode="mask")).parts
+    hole = Mesh((replace(part, uvs=part.uvs if texture else None, colors=colors),))
+    assert draw_mesh(hole).rgb[32, 32].max() == 0
+    pane = Mesh((replace(hole.parts[0], material=replace(part.material, alpha_mode="blend")),))
+    np.testing.assert_allclose(draw_mesh(pane).rgb[32, 32], 170, atol=2)  # 0.4 of the light on black
+
+
+def test_a_body_with_colours_and_a_texture_joins_a_scene_without():
+    grey = _texture([[[188, 188, 188]]])
+    (part,) = facing_quad(1.0, 1.0, replace(WHITE, texture=grey)).parts
+    later = Mesh((replace(part, colors=np.full((4, 3), (255, 0, 0), dtype=np.uint8)),))
+    first = facing_quad(2.0, 2.0, Material(texture=_texture([[[0, 0, 255]]]), unlit=True, base_color=(1, 1, 1, 1)))
+    far = VisualSpec("far", "", Shape("mesh", mesh="/far"))
+
+    def load(shape: Shape) -> Mesh:
+        return first if shape.mesh == "/far" else later
+
+    near = VisualSpec("near", "body/link", Shape("mesh", mesh="/near"))
+    before, after = scene(far), scene(far, near, links=("body/link",))
+    with Renderer(before, loader=load) as renderer:
+        assert renderer.render(state(), [EYE])[0].rgb[32, 32].tolist() == [0, 0, 255]
+        assert not renderer.update(replace(after, revision=2))  # not reloaded
+        rgb = renderer.render(state(["body/link"], [(0.0, 0.0, 0.0)], revision=2), [EYE])[0].rgb
+    np.testing.assert_allclose(rgb[32, 32], (188, 0, 0), atol=2)
+
+
+def test_a_cutoff_above_1_hides_everything():
+    hidden = facing_quad(
+        1.0, 1.0, replace(WHITE, texture=_texture([[[255, 255, 255, 255]]]), alpha_mode="mask", alpha_cutoff=1.1)
+    )
+    assert draw_mesh(hidden).rgb[32, 32].max() == 0

@@ -15,6 +15,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.formats.mesh import MATTE_ROUGHNESS, TextureSource
 from gibson_sim.render.batching.material_table import MaterialTable
 from gibson_sim.render.batching.scene_geometry import (
+    COLORED_VERTEX,
     PLACEMENT,
     VERTEX,
     AlphaMode,
@@ -23,6 +24,7 @@ from gibson_sim.render.batching.scene_geometry import (
     Progress,
     SceneGeometry,
     settings,
+    with_dtype,
 )
 from gibson_sim.render.lod.clusters import build_clusters, simplifier, weld
 
@@ -59,9 +61,16 @@ does not depend on appearances: these must change neither levels of detail nor t
 normals."""
 
 
-def _unpacked_colors(packed: F32) -> F32:
+def _colors_of(vertices: NDArray[np.void], textured: bool) -> F32:
     """Returns linear colours (V, 3), 0 to 1."""
-    return np.ascontiguousarray(packed).view("<u2").reshape(-1, 4)[:, :3].astype(np.float32) / np.float32(65535.0)
+    packed = vertices["color"] if textured else np.ascontiguousarray(vertices["uv"]).view("<u2").reshape(-1, 4)
+    return np.asarray(packed[:, :3].astype(np.float32) / np.float32(65535.0), dtype=np.float32)
+
+
+def _joined_vertices(arrays: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """Returns all vertices as one array, with colours if any of them have one."""
+    dtype = COLORED_VERTEX if any(array.dtype == COLORED_VERTEX for array in arrays) else VERTEX
+    return np.concatenate([with_dtype(array, dtype) for array in arrays]) if arrays else np.zeros(0, dtype=VERTEX)
 
 
 class GeometryAssembler:
@@ -150,7 +159,7 @@ class GeometryAssembler:
             )
         c = self._clusters
         return SceneGeometry(
-            vertices=np.concatenate(self._vertices) if self._vertices else np.zeros(0, dtype=VERTEX),
+            vertices=_joined_vertices(self._vertices),
             indices=_joined(self._indices, np.uint32),
             materials=materials,
             appearances=table.appearances(),
@@ -239,7 +248,7 @@ class GeometryAssembler:
             size,
             fixed,
             levels_of_detail,
-            _unpacked_colors(vertices["uv"]) if colored else None,
+            _colors_of(vertices, textured) if colored else None,
         )
         starts, ends = clusters.starts, clusters.ends
         corners = vertices["position"][clusters.triangles]

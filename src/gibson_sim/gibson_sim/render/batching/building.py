@@ -16,7 +16,17 @@ from gibson_sim.geometry.colours import linear16_from_srgb8
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
 from gibson_sim.render.batching.assembly import GeometryAssembler, Submesh, SubmeshKey
 from gibson_sim.render.batching.material_table import MaterialTable, opaque_alpha
-from gibson_sim.render.batching.scene_geometry import MAX_LABEL, VERTEX, AlphaMode, Loader, MapSet, Progress, SceneGeometry
+from gibson_sim.render.batching.scene_geometry import (
+    COLORED_VERTEX,
+    MAX_LABEL,
+    VERTEX,
+    AlphaMode,
+    Loader,
+    MapSet,
+    Progress,
+    SceneGeometry,
+    with_dtype,
+)
 from gibson_sim.render.culling.closed_surfaces import ClosedSurfaces, find_closed_surfaces, transformed_boxes
 from gibson_sim.types import Rgba
 
@@ -76,7 +86,7 @@ def build_geometry(
         link, T_link_visual = link_numbers[visual.link], matrix_from_pose(visual.pose)
         materials = [part.material if visual.color is None else _plain(visual.color) for part in mesh.parts]
         drawn = [material.texture if part.uvs is not None else None for part, material in zip(mesh.parts, materials, strict=True)]
-        alpha_modes = tuple(map(_alpha_mode, materials, drawn))
+        alpha_modes = tuple(map(_alpha_mode, materials, drawn, (part.colors for part in mesh.parts)))
         closed_key = (visual.shape, tuple(mode == "opaque" for mode in alpha_modes))
         if closed_key not in known_closed:
             known_closed[closed_key] = find_closed_surfaces(mesh.parts, closed_key[1])
@@ -93,9 +103,12 @@ def build_geometry(
                 maps = map_sets.setdefault(tuple(map(id, map_set)), (len(map_sets), map_set))[0]
             row = table.row(material if part.uvs is not None else replace(material, texture=None), visual.appearance)
             vertices = _vertices(part, row, T_link_visual, label)
-            colored = material.colored and part.colors is not None and texture is None
-            if colored:
-                vertices["uv"] = _packed_colors(part.colors)
+            colored = material.colored and part.colors is not None
+            if colored and max(number, maps) >= 0:
+                vertices = with_dtype(vertices, COLORED_VERTEX)
+                vertices["color"] = _linear_colors(part.colors)
+            elif colored:
+                vertices["uv"] = _linear_colors(part.colors).view("<f4")
             for closed in (False, True):
                 triangles = part.triangles[is_closed == closed]
                 if len(triangles):
@@ -130,7 +143,7 @@ def _plain(color: Rgba) -> Material:
     return Material(base_color=color, alpha_mode="blend" if color[3] < 1.0 else "opaque")
 
 
-def _alpha_mode(material: Material, texture: TextureSource | None) -> AlphaMode:
+def _alpha_mode(material: Material, texture: TextureSource | None, colors: NDArray[np.uint8] | None) -> AlphaMode:
     """Returns the alpha mode to draw a material with.
 
     Files often request blending for fully opaque materials, which would take time and lose the depth.
@@ -140,6 +153,8 @@ def _alpha_mode(material: Material, texture: TextureSource | None) -> AlphaMode:
     lowest = material.base_color[3]
     if texture is not None and texture.pixels.shape[2] == 4:
         lowest *= float(texture.pixels[:, :, 3].min()) / 255.0
+    if material.colored and colors is not None and colors.shape[1] == 4:
+        lowest *= float(colors[:, 3].min()) / 255.0
     if lowest >= opaque_alpha(material):
         return "opaque"
     return "mask" if material.alpha_mode == "mask" else "blend"
@@ -160,9 +175,11 @@ def _vertices(part: MeshPart, material: int, T_link_visual: F64, label: tuple[in
     return out
 
 
-def _packed_colors(colors: NDArray[np.uint8] | None) -> F32:
-    """Returns sRGB colours, (V, 3), as (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit integers."""
+def _linear_colors(colors: NDArray[np.uint8] | None) -> NDArray[np.uint16]:
+    """Returns ``MeshPart.colors`` as linear red, green, blue and alpha, (V, 4), 0 to 65535."""
     assert colors is not None
-    out = np.zeros((len(colors), 4), dtype="<u2")
+    out = np.full((len(colors), 4), 65535, dtype="<u2")
     out[:, :3] = linear16_from_srgb8(colors[:, :3])
-    return out.view("<f4")
+    if colors.shape[1] == 4:
+        out[:, 3] = colors[:, 3].astype(np.uint16) * np.uint16(257)
+    return out

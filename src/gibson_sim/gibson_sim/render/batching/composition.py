@@ -17,7 +17,7 @@ from gibson_sim.description.shapes import VisualSpec
 from gibson_sim.errors import ConfigError
 from gibson_sim.render.batching.building import build_geometry
 from gibson_sim.render.batching.prototypes import BODY, BodyPrototype, GeometryMerger, LabelMap, PlacedBody, SceneNumbers
-from gibson_sim.render.batching.scene_geometry import MAX_LABEL, Loader, SceneGeometry
+from gibson_sim.render.batching.scene_geometry import MAX_LABEL, Loader, SceneGeometry, with_dtype
 from gibson_sim.scenes.spec import DrawnScene
 
 I64 = NDArray[np.int64]
@@ -181,11 +181,17 @@ class _Rows:
 
     def write_base(self, rows: NDArray[Any]) -> None:
         self._reserve(self.base)
-        self._rows[: self.base] = rows
+        self._rows[: self.base] = self._fitted(rows)
 
     def write(self, at: int, rows: NDArray[Any]) -> None:
         self._reserve(at + len(rows))
-        self._rows[at : at + len(rows)] = rows
+        self._rows[at : at + len(rows)] = self._fitted(rows)
+
+    def _fitted(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """Returns rows in the type of the array, which becomes that of the rows if these are vertices with colours."""
+        if rows.dtype.itemsize > self._rows.dtype.itemsize:
+            self._rows = with_dtype(self._rows, rows.dtype)
+        return with_dtype(rows, self._rows.dtype) if rows.dtype.names else rows
 
     def first(self, count: int) -> NDArray[Any]:
         return self._rows[:count]

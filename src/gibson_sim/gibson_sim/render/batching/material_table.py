@@ -49,7 +49,7 @@ class MaterialTable:
         ]
         values = (
             *linear, modified.base_color[3],
-            modified.metallic, modified.roughness, min(max(opaque_alpha(modified), 0.0), 1.0), float(modified.unlit),
+            modified.metallic, modified.roughness, min(max(opaque_alpha(modified), 0.0), 2.0), float(modified.unlit),
             *modified.emissive, 0.0,
             0.0 if modified.normal_texture is None else modified.normal_scale, modified.occlusion_strength, *from_map,
         )  # fmt: skip

@@ -27,6 +27,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<i2", 3), ("material", "<u2"), ("uv", "<f4", 2), ("label", "<u2", 2)])
+COLORED_VERTEX = np.dtype([*VERTEX.descr, ("color", "<u2", 4)])
+"""``VERTEX`` with linear red, green, blue and alpha, for scenes where vertex colours multiply textures; without textures the colours are in
+``uv``."""
 PLACEMENT = np.dtype([("link", "<u4"), ("label", "<u2", 2), ("material", "<u4")])
 """An instance of shared triangles: its link, and offsets that are added to the label and material numbers of the vertices."""
 MATERIAL = np.dtype([("color", "<f4", 4), ("surface", "<f4", 4), ("emission", "<f4", 4), ("maps", "<f4", 4)])
@@ -58,7 +61,7 @@ class Batch:
     has_appearance: bool
     """Whether any of its materials has a tint or a pattern."""
     colored: bool
-    """Whether its vertices have colours instead of texture coordinates."""
+    """Whether its vertices have colours: in ``uv``, or in ``color`` if it has a texture or maps too."""
     moving: bool
     """Whether its clusters belong to links, not to the world."""
     closed: bool
@@ -74,7 +77,7 @@ class SceneGeometry:
     """All triangles of a scene."""
 
     vertices: NDArray[np.void]
-    """(V,) of ``VERTEX``."""
+    """(V,) of ``VERTEX``, or of ``COLORED_VERTEX`` if any batch has colours and textures."""
     indices: NDArray[np.uint32]
     """(3 F,), rows in ``vertices``."""
     materials: NDArray[np.void]
@@ -117,6 +120,16 @@ class SceneGeometry:
     files: tuple[Path, ...]
     """Files read to build it."""
     warnings: tuple[str, ...]
+
+
+def with_dtype(vertices: NDArray[np.void], dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Returns vertices as ``VERTEX`` or ``COLORED_VERTEX``; a colour that they do not have is 0, and is not read."""
+    if vertices.dtype == dtype:
+        return vertices
+    out = np.zeros(len(vertices), dtype=dtype)
+    for name in VERTEX.names or ():
+        out[name] = vertices[name]
+    return out
 
 
 def settings(batch: Batch) -> tuple[bool, int, int, AlphaMode, bool, bool, bool]:

@@ -353,7 +353,7 @@ def _passes(b: SceneGeometry) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         if batch.alpha_mode == "blend":
             clusters = slice(batch.first_cluster, batch.end_cluster)
             translucent[clusters] = True
-            if batch.texture < 0:  # with a texture, shaders decide by the alpha of each texel
+            if batch.texture < 0 and not batch.colored:  # else shaders decide by the alpha of each pixel
                 opaque[clusters], translucent[clusters] = _passes_of_untextured(b, clusters)
     return opaque, translucent
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.render.batching.scene_geometry import SceneGeometry
 from gibson_sim.render.context import GlContext, gl as GL
+from gibson_sim.render.draw.scene_memory import set_sampling
 
 _FIRST_UNIT, _PATTERNS = 1, 8
 _NEUTRAL = ((255, 255, 255), (128, 128, 255), (255, 255, 255), (255, 255, 255))
@@ -47,6 +48,7 @@ class MaterialMaps:
         key = (id(source), kind == _EMISSION)
         if key not in self._textures:
             self._textures[key] = self._texture(source.pixels, kind == _EMISSION)
+            set_sampling(self._gl, self._textures[key], source.sampling)
         return self._textures[key]
 
     def _texture(self, pixels: NDArray[np.uint8], srgb: bool) -> int:

@@ -81,7 +81,8 @@ class Programs:
             "MOVING": batch.moving, "ALPHA_TEST": has_holes, "UNLIT": not lights, "TEXTURED": batch.texture >= 0 and (has_holes or color),
             "MATERIALS": batch.material < 0,
             "WORLD_POSITION": lights or "FLOW" in features, "WORLD_NORMAL": lights or "NORMALS" in features,
-            "APPEARANCE": color and batch.has_appearance, "VERTEX_COLORS": color and batch.colored,
+            "APPEARANCE": color and batch.has_appearance, "VERTEX_COLORS": (color or has_holes) and batch.colored,
+            "COLORS_BESIDE_UVS": (color or has_holes) and batch.colored and max(batch.texture, batch.maps) >= 0,
         }  # fmt: skip
         lit: tuple[str, ...] = ()
         if lights:

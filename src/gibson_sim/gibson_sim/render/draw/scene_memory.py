@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.formats.mesh import TextureSource
+from gibson_sim.formats.mesh import Filter, Sampling, TextureSource, Wrap
 from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
-from gibson_sim.render.batching.scene_geometry import MATERIAL, PLACEMENT, VERTEX, SceneGeometry
+from gibson_sim.render.batching.scene_geometry import COLORED_VERTEX, MATERIAL, PLACEMENT, VERTEX, SceneGeometry
 from gibson_sim.render.context import gl as GL
 
 Pixels = NDArray[np.uint8]
@@ -29,8 +29,20 @@ _VERTEX_ATTRIBUTES = (
     (4, 1, GL.UNSIGNED_INT, None, "label"),
     (8, 4, GL.UNSIGNED_SHORT, 1, "uv"),  # vertices with colours store them instead of texture coordinates
 )
+_COLOR = 9
+"""Location of ``color`` of ``COLORED_VERTEX``, which ``VERTEX`` does not have."""
 _PLACEMENT_ATTRIBUTES = ((5, "link"), (6, "label"), (7, "material"))
 """Location and field of ``PLACEMENT`` of the per-instance attributes."""
+_WRAPS: dict[Wrap, int] = {"repeat": GL.REPEAT, "mirror": GL.MIRRORED_REPEAT, "clamp": GL.CLAMP_TO_EDGE}
+_FILTERS: dict[tuple[Filter, Filter | None], int] = {
+    ("nearest", None): GL.NEAREST,
+    ("linear", None): GL.LINEAR,
+    ("nearest", "nearest"): GL.NEAREST_MIPMAP_NEAREST,
+    ("linear", "nearest"): GL.LINEAR_MIPMAP_NEAREST,
+    ("nearest", "linear"): GL.NEAREST_MIPMAP_LINEAR,
+    ("linear", "linear"): GL.LINEAR_MIPMAP_LINEAR,
+}
+"""Filter within a mip level and between levels -> OpenGL's."""
 _ALPHA = (np.arange(256) / 255.0).astype(np.float32)
 _LINEAR = linear_from_srgb(_ALPHA)
 """(256,), linear value of each sRGB byte."""
@@ -51,6 +63,7 @@ class SceneMemory:
         self.textures: list[int] = []
         """OpenGL names, in the order of ``SceneGeometry.textures``."""
         self._arrays: list[int] = []
+        self._stride = VERTEX.itemsize
         self._vertices, self._indices, self._occluders, self._sorted, self._placements = (self._buffer() for _ in range(5))
         self.materials, self.appearances = self._buffer(), self._buffer()
         self.array = self._array(self._indices)
@@ -79,6 +92,8 @@ class SceneMemory:
             gl.glVertexArrayAttribBinding(array, location, 1)
             gl.glEnableVertexArrayAttrib(array, location)
         gl.glVertexArrayBindingDivisor(array, 1, 1)
+        gl.glVertexArrayAttribFormat(array, _COLOR, 4, GL.UNSIGNED_SHORT, 1, COLORED_VERTEX.fields["color"][1])  # type: ignore[index]
+        gl.glVertexArrayAttribBinding(array, _COLOR, 0)
         gl.glVertexArrayVertexBuffer(array, 0, self._vertices, 0, VERTEX.itemsize)
         gl.glVertexArrayVertexBuffer(array, 1, self._placements, 0, PLACEMENT.itemsize)
         gl.glVertexArrayElementBuffer(array, indices)
@@ -92,6 +107,9 @@ class SceneMemory:
             same_vertices: number of its leading vertices that are already uploaded.
             same_indices: number of its leading indices that are already uploaded.
         """
+        if geometry.vertices.dtype.itemsize != self._stride:
+            self._use_vertices_of(geometry.vertices.dtype)
+            same_vertices = 0
         self._fill(self._vertices, geometry.vertices if len(geometry.vertices) else np.zeros(1, VERTEX), same_vertices)
         self._fill(self._indices, geometry.indices if len(geometry.indices) else np.zeros(1, np.uint32), same_indices)
         self._fill(self.materials, geometry.materials if len(geometry.materials) else np.zeros(1, MATERIAL))
@@ -99,6 +117,14 @@ class SceneMemory:
         if len(geometry.appearances):
             self._fill(self.appearances, geometry.appearances)
         self._load_textures(geometry.textures)
+
+    def _use_vertices_of(self, dtype: np.dtype[np.void]) -> None:
+        """Makes the vertex arrays read vertices with or without colours."""
+        self._stride = dtype.itemsize
+        switch = self._gl.glEnableVertexArrayAttrib if dtype == COLORED_VERTEX else self._gl.glDisableVertexArrayAttrib
+        for array in self._arrays:
+            self._gl.glVertexArrayVertexBuffer(array, 0, self._vertices, 0, self._stride)
+            switch(array, _COLOR)
 
     def load_occluders(self, indices: NDArray[np.uint32]) -> None:
         """Uploads the indices of the occluders."""
@@ -132,6 +158,7 @@ class SceneMemory:
         for key, source in needed.items():
             if key not in self._texture_of:
                 self._texture_of[key] = upload_texture_with_mip_levels(self._gl, source.pixels, compress=self._compress)
+                set_sampling(self._gl, self._texture_of[key][0], source.sampling)
         self.textures = [self._texture_of[id(source)][0] for source in sources]
 
     @property
@@ -167,6 +194,14 @@ def upload_texture_with_mip_levels(gl: GL.Gl, pixels: Pixels, *, compress: bool)
     gl.glTextureParameteri(texture, GL.TEXTURE_MIN_FILTER, GL.LINEAR_MIPMAP_LINEAR)
     gl.glTextureParameteri(texture, GL.TEXTURE_MAG_FILTER, GL.LINEAR)
     return texture, size
+
+
+def set_sampling(gl: GL.Gl, texture: int, sampling: Sampling) -> None:
+    """Sets how a texture with mip levels is read between and beyond its pixels."""
+    gl.glTextureParameteri(texture, GL.TEXTURE_MAG_FILTER, _FILTERS[sampling.magnified, None])
+    gl.glTextureParameteri(texture, GL.TEXTURE_MIN_FILTER, _FILTERS[sampling.minified, sampling.between_levels])
+    gl.glTextureParameteri(texture, GL.TEXTURE_WRAP_S, _WRAPS[sampling.wrap_u])
+    gl.glTextureParameteri(texture, GL.TEXTURE_WRAP_T, _WRAPS[sampling.wrap_v])
 
 
 def _fit(pixels: Pixels, limit: int) -> Pixels:

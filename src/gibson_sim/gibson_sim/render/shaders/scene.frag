@@ -1,7 +1,11 @@
 // Shades a surface and writes the features. The target is sRGB, so all colours in the shader are linear.
 in vec2 v_uv;
 #ifdef VERTEX_COLORS
-in vec3 v_color;  // linear
+#ifdef ALPHA_TEST
+in vec4 v_color;  // linear, and alpha
+#else
+in vec3 v_color;
+#endif
 #endif
 #ifdef APPEARANCE
 flat in uint v_material;
@@ -61,7 +65,11 @@ void main() {
     color *= texture(u_texture, v_uv);
 #endif
 #ifdef VERTEX_COLORS
+#ifdef ALPHA_TEST
+    color *= v_color;
+#else
     color.rgb *= v_color;
+#endif
 #endif
 #ifdef ALPHA_TEST
     if ((color.a < material.surface.z) != u_translucent) discard;

@@ -4,8 +4,16 @@ layout(location = 1) in vec3 in_normal;
 layout(location = 2) in uint in_material;
 layout(location = 3) in vec2 in_uv;
 #ifdef VERTEX_COLORS
-layout(location = 8) in vec4 in_color;  // linear
+#ifdef COLORS_BESIDE_UVS
+layout(location = 9) in vec4 in_color;  // linear, and alpha
+#else
+layout(location = 8) in vec4 in_color;
+#endif
+#ifdef ALPHA_TEST
+out vec4 v_color;
+#else
 out vec3 v_color;
+#endif
 #endif
 #ifdef LABELS
 layout(location = 4) in uint in_label;  // semantic class in the lower 16 bits, instance in the upper 16 bits
@@ -79,7 +87,11 @@ void main() {
 #endif
     v_uv = in_uv;
 #ifdef VERTEX_COLORS
+#ifdef ALPHA_TEST
+    v_color = in_color;
+#else
     v_color = in_color.rgb;
+#endif
 #endif
 #if defined(APPEARANCE) || defined(MATERIALS)
     uint number = in_material;
