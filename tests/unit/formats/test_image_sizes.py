@@ -59,6 +59,12 @@ def test_png_with_a_chunk_that_claims_gigabytes_is_not_decoded() -> None:
     assert image_size(bytes(png)) is None and decode_pixels(bytes(png), cv2.IMREAD_UNCHANGED) is None
 
 
+def test_bytes_after_the_end_of_a_png_are_ignored() -> None:
+    png = cv2.imencode(".png", np.full((2, 3, 3), 7, np.uint8))[1].tobytes()
+    pixels = decode_pixels(png + b"\xff" * 40, cv2.IMREAD_UNCHANGED)
+    assert pixels is not None and pixels.shape == (2, 3, 3)
+
+
 def test_png_that_is_cut_has_its_size() -> None:
     png = cv2.imencode(".png", np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8))[1].tobytes()
     assert image_size(png[: len(png) // 2]).width == 64

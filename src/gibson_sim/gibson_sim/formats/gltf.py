@@ -10,6 +10,7 @@ import base64
 import json
 import math
 import os
+import re
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -51,9 +52,10 @@ _MINIFIED: dict[int, tuple[Filter, Filter | None]] = {
 }  # fmt: skip
 """Value of ``minFilter`` -> filter within a mip level and between levels, None = without levels."""
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
+_GLOSS = "KHR_materials_pbrSpecularGlossiness"
 _KNOWN_EXTENSIONS = {
-    "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_pbrSpecularGlossiness",
-    "KHR_lights_punctual", "EXT_texture_webp", "KHR_texture_basisu", "EXT_mesh_gpu_instancing", DRACO, *MESHOPT,
+    "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", _GLOSS,
+    "KHR_lights_punctual", "EXT_texture_webp", "KHR_texture_basisu", "EXT_mesh_gpu_instancing", "KHR_node_visibility", DRACO, *MESHOPT,
 }  # fmt: skip
 _METADATA = {"KHR_xmp", "KHR_xmp_json_ld"}
 """Extensions without influence on the picture."""
@@ -76,7 +78,7 @@ _MATERIAL_EXTENSIONS: dict[str, tuple[str, Any, str]] = {
 }
 """Extension of a material -> property and value with which it has no effect, and what changes without it."""
 
-_READ_MATERIAL_EXTENSIONS = {"KHR_materials_unlit", "KHR_materials_emissive_strength", "KHR_materials_pbrSpecularGlossiness"}
+_READ_MATERIAL_EXTENSIONS = {"KHR_materials_unlit", "KHR_materials_emissive_strength", _GLOSS}
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 """``baseColorFactor`` of a material that has none."""
 
@@ -118,10 +120,18 @@ def load_gltf(
     if not version.startswith("2"):
         raise MeshError(f"{path}: glTF version is {clipped(version, 40) or 'not given'}, must be 2.x; convert the file")
     check_document(str(path), document)
+    least = document["asset"].get("minVersion", "2.0")
+    if _version(least) > (2, 0):
+        raise MeshError(f"{path}: needs glTF {clipped(least, 40)}, 2.0 is read; export it for 2.0")
     for name in document.get("extensionsRequired", []):
         if name not in _KNOWN_EXTENSIONS and not name.startswith("KHR_materials_"):
             raise MeshError(f"{path}: needs glTF extension {name}, which is not supported; export the file without it")
     return _GltfReader(path, document, chunk, textures, files, warn).parts(max_parts)
+
+
+def _version(text: str) -> tuple[int, ...]:
+    """Returns the numbers of a version, () if it has none."""
+    return tuple(map(int, re.findall("[0-9]{1,9}", text)))
 
 
 def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
@@ -303,6 +313,8 @@ class _GltfReader:
                 raise MeshError(f"{self.path}: node {index} has two parents or is its own ancestor; the file is broken")
             seen.add(index)
             node = self._item("nodes", index)
+            if not node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True):
+                continue  # nor are its children drawn
             matrix = parent @ _node_matrix(node)
             yield node, matrix
             stack += [(child, matrix) for child in reversed(node.get("children", []))]
@@ -353,6 +365,11 @@ class _GltfReader:
             vertices, normals, mirrored = self._skinned(node["skin"], attributes, vertices, normals)
             triangles = triangles[:, ::-1] if mirrored else triangles
             placed = None  # the joints replace the matrix of the node
+        if normals is None and not material.unlit and len(triangles) and 0 <= triangles.min() <= triangles.max() < count:
+            # By the specification flat, so no two triangles share a vertex. Without light nothing shows it, and scans stay small.
+            corners = triangles.ravel()
+            vertices, triangles = vertices[corners], np.arange(len(corners)).reshape(-1, 3)
+            uvs, colors = (None if array is None else array[corners] for array in (uvs, colors))
         return build_part(str(self.path), vertices, triangles, normals, uvs, material, placed, colors)
 
     def _morphed(self, name: str, values: NDArray[Any], targets: _Targets) -> NDArray[Any]:
@@ -421,16 +438,24 @@ class _GltfReader:
         return self._draco[primitive["extensions"][DRACO]["bufferView"]]
 
     def _draco_arrays(self, primitive: dict[str, Any], draco: DracoMesh) -> dict[int, NDArray[Any]]:
-        """Returns index of an accessor -> values (V, C), for the accessors in the Draco mesh; checks their shapes."""
+        """Returns index of an accessor -> values (V, C), for the accessors in the Draco mesh; checks their widths.
+
+        The number of vertices is that of the Draco mesh: encoders split vertices, and some leave ``count`` as it was.
+        """
         arrays: dict[int, NDArray[Any]] = {}
         for name, number in primitive["extensions"][DRACO].get("attributes", {}).items():
             index = primitive["attributes"].get(name)
             if index is None or number not in draco.attributes:
                 continue
             values, accessor = draco.attributes[number], self._item("accessors", index)
-            shape = (accessor["count"], _WIDTHS[accessor["type"]])
-            if values.shape != shape:
-                raise MeshError(f"{self.path}: Draco holds {name} of shape {values.shape}, must be {shape}; the file is broken")
+            width = _WIDTHS[accessor["type"]]
+            if values.shape[1] != width:
+                problem = f"Draco holds {name} of {values.shape[1]} components, must be {width}"
+                raise MeshError(f"{self.path}: {problem}; the file is broken")
+            if accessor["count"] != len(values):
+                self.warn(
+                    f"{self.path}: accessor {index} says {accessor['count']} vertices, its Draco mesh has {len(values)}; these are drawn"
+                )
             arrays[index] = values
         if primitive["attributes"]["POSITION"] not in arrays:
             raise MeshError(f"{self.path}: a Draco mesh has no POSITION; the file is broken")
@@ -552,7 +577,7 @@ class _GltfReader:
         index = primitive["material"]
         source = self._item("materials", index)
         extensions = source.get("extensions", {})
-        gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
+        gloss = _gloss(source)
         pbr = source.get("pbrMetallicRoughness", {})
         info = pbr.get("baseColorTexture") or gloss.get("diffuseTexture")
         factor = pbr.get("baseColorFactor") or gloss.get("diffuseFactor")
@@ -574,12 +599,13 @@ class _GltfReader:
                 bool(source.get("doubleSided", False)),
             )
             if not material.unlit:
-                self._warn_of_extensions(material.name, extensions)
+                self._warn_of_extensions(material.name, source)
             self._materials[index] = material if material.unlit else self._with_surface(material, source, mapping)
         return self._materials[index], mapping[0], _uv_matrix(mapping[1])
 
-    def _warn_of_extensions(self, name: str, extensions: dict[str, Any]) -> None:
+    def _warn_of_extensions(self, name: str, source: dict[str, Any]) -> None:
         """Warns of extensions of a material that change its look and are left out."""
+        extensions = source.get("extensions", {})
         for extension, values in extensions.items():
             key, neutral, change = _MATERIAL_EXTENSIONS.get(extension, ("", None, "what it adds or changes is left out"))
             if extension in _READ_MATERIAL_EXTENSIONS:
@@ -591,7 +617,9 @@ class _GltfReader:
                 ) == [1, 1, 1]
             if not inert:
                 self.warn(f"{self.path}: {clipped(extension, 60)} of material {quoted(name)} is not drawn: {change}")
-        gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
+        gloss = _gloss(source)
+        if not gloss and _GLOSS in extensions:
+            self.warn(f"{self.path}: {_GLOSS} of material {quoted(name)} is left out; it is drawn by its pbrMetallicRoughness")
         if {"specularFactor", "specularGlossinessTexture"} & set(gloss):
             self.warn(f"{self.path}: the specular colours of material {quoted(name)} are left out; it is drawn as a non-metal")
 
@@ -610,7 +638,7 @@ class _GltfReader:
                 continue
             maps[field] = self._texture(info["index"])
         pbr, extensions = source.get("pbrMetallicRoughness", {}), source.get("extensions", {})
-        gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
+        gloss = _gloss(source)
         # By the standard, a material without these keys is a rough metal; exporters that omit all of them mean a non-metal.
         unspecified = not {"metallicFactor", "roughnessFactor", "metallicRoughnessTexture"} & set(pbr)
         if unspecified and not gloss:
@@ -670,6 +698,17 @@ class _GltfReader:
         if uri.startswith("data:"):
             return self.textures.from_bytes(name, _data_uri(uri), self.warn)
         return self.textures.from_uri(uri, self.path, self.files, self.warn)
+
+
+def _gloss(source: dict[str, Any]) -> dict[str, Any]:
+    """Returns the KHR_materials_pbrSpecularGlossiness of a material, empty if its ``pbrMetallicRoughness`` says how to draw it.
+
+    Without specular colours, which only metals need, the latter is nearer to what the author saw.
+    """
+    if {"baseColorTexture", "baseColorFactor"} & set(source.get("pbrMetallicRoughness", {})):
+        return {}
+    found: dict[str, Any] = source.get("extensions", {}).get(_GLOSS, {})
+    return found
 
 
 def _map_info(source: dict[str, Any], name: str) -> dict[str, Any] | None:

@@ -24,7 +24,7 @@ MAX_DECODED_BYTES = 2**30
 """Maximum total size of the decoded buffers of one file, bytes."""
 _TIMEOUT_S = 120.0
 _WITHOUT_DRACO = "export the file without it, or convert it: npx @gltf-transform/cli copy in.glb out.glb"
-_FILTERS = {"NONE": (), "OCTAHEDRAL": (4, 8), "QUATERNION": (8,), "EXPONENTIAL": tuple(range(4, 257, 4))}
+_FILTERS = {"NONE": (), "OCTAHEDRAL": (4, 8), "QUATERNION": (8,), "EXPONENTIAL": tuple(range(4, 257, 4)), "COLOR": (4, 8)}
 """Filter -> its valid strides, bytes; empty = any."""
 
 
@@ -112,7 +112,9 @@ def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> byt
         if mode == "ATTRIBUTES":
             array = decoder.decode_vertex_buffer(count, stride, data, np.dtype((np.void, stride)))
             raw = array.view(np.uint8)
-            if kind != "NONE":
+            if kind == "COLOR":
+                raw = _rgba(raw, "u1" if stride == 4 else "<u2")
+            elif kind != "NONE":
                 filters = {"OCTAHEDRAL": decoder.decode_filter_oct, "QUATERNION": decoder.decode_filter_quat}
                 raw = filters.get(kind, decoder.decode_filter_exp)(raw, count, stride)
             return bytes(raw)
@@ -121,6 +123,18 @@ def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> byt
     except (RuntimeError, ValueError) as error:
         raise MeshError(f"{where}: a buffer compressed with {MESHOPT[0]} cannot be decoded; the file is cut or broken") from error
     return bytes(indices.astype("<u2" if stride == 2 else "<u4"))
+
+
+def _rgba(raw: NDArray[np.uint8], dtype: str) -> NDArray[Any]:
+    """Returns RGBA, (N, 4), from the filter COLOR: rows of Y, Co, Cg and alpha, each of K bits, where alpha is K - 1 bits below a 1."""
+    stored = raw.view(dtype).reshape(-1, 4)
+    y, alpha = stored[:, 0].astype(np.int64), stored[:, 3].astype(np.int64)
+    co, cg = stored.view(dtype.replace("u", "i")).astype(np.int64)[:, 1:3].T
+    largest = (1 << np.frexp(alpha.astype(np.float64))[1].astype(np.int64)) - 1  # of K bits
+    below = alpha & (largest >> 1)
+    rgba = np.stack([y + co - cg, y + cg, y - co - cg, below << 1 | below & 1], axis=1) / np.maximum(largest, 1)[:, None]
+    rounded: NDArray[Any] = np.rint(np.clip(rgba, 0.0, 1.0) * np.iinfo(dtype).max).astype(dtype)
+    return rounded
 
 
 def _invalid(mode: str, kind: str, count: int, stride: int) -> str:

@@ -95,7 +95,7 @@ _MATERIAL = {
     },
 }  # fmt: skip
 _DOCUMENT = {
-    "asset!": {"version!": _TEXT},
+    "asset!": {"version!": _TEXT, "minVersion": _TEXT},
     "extensionsUsed": [_TEXT],
     "extensionsRequired": [_TEXT],
     "scene": _COUNT,
@@ -104,7 +104,10 @@ _DOCUMENT = {
         {
             "children": [_COUNT], "mesh": _COUNT, "skin": _COUNT, "matrix": _numbers(16), "rotation": _numbers(4),
             "translation": _numbers(3), "scale": _numbers(3), "weights": [_NUMBER],
-            "extensions": {"EXT_mesh_gpu_instancing": {"attributes!": _COUNTS_BY_NAME}},
+            "extensions": {
+                "EXT_mesh_gpu_instancing": {"attributes!": _COUNTS_BY_NAME},
+                "KHR_node_visibility": {"visible": _FLAG},
+            },
         }
     ],
     "meshes": [{"primitives!": [_PRIMITIVE], "weights": [_NUMBER]}],

@@ -85,7 +85,7 @@ def _png(data: bytes) -> ImageHeader | None:
     at = 8
     has_grey_key = False
     for _ in range(_MAX_CHUNKS):
-        if at + 8 > len(data):
+        if at + 8 > len(data) or data[at + 4 : at + 8] == b"IEND":  # decoders ignore what follows
             channels = 4 if has_grey_key else _PNG_CHANNELS.get(data[25], 4)
             return ImageHeader(width, height, channels, "PNG" if has_grey_key else "")
         (length,) = struct.unpack_from(">I", data, at)

@@ -125,7 +125,8 @@ class MeshLoader:
         ) as e:  # fmt: skip
             raise MeshError(f"{path}: is not a readable {path.suffix.lower()} file: {type(e).__name__}: {_one_line(e)}") from e
         if not mesh.parts:
-            raise MeshError(f"{path}: has no triangles")
+            reasons = "; ".join(warning.removeprefix(f"{path}: ") for warning in mesh.warnings)
+            raise MeshError(f"{path}: has no triangles{reasons and f' ({reasons})'}")
         return mesh
 
     def _is_allowed(self, real: Path) -> bool:
