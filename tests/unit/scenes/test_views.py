@@ -9,11 +9,13 @@ import pytest
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError, GibsonSimError, RobotError
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy, transform_points
-from gibson_sim.maps.floor_extent import extent_of_triangles
+from gibson_sim.maps.floor_extent import extent_of_drawn, extent_of_triangles
+from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.load_views import load_camera_file, read_views
-from gibson_sim.scenes.spec import DrawnScene, LightSpec
+from gibson_sim.scenes.spec import DrawnScene, LightSpec, drawn_scene
 from gibson_sim.scenes.views import FloorExtent, Follow, Orbit, Top, Views
 from gibson_sim.types import NS_PER_S, CameraSpec, Pose, SceneState
+from support.scenes import write_house
 
 LINKS = ("left/base", "left/wheel", "right/base", "door/leaf")
 FLOOR = FloorExtent((-1.0, 0.0), (5.0, 3.0), 0.5)
@@ -208,3 +210,9 @@ def test_a_floor_reaches_as_far_as_its_walls_and_not_as_its_lawn() -> None:
     found = extent_of_triangles(np.array(lawn + wall), [(0, 1, 2), (3, 4, 5)], 0.0)
     assert found.high[0] == pytest.approx(4.0) and found.low[1] > 1.0 and found.high[1] < 3.0
     assert extent_of_triangles(np.array(lawn), [(0, 1, 2)], 0.0).low == (-20.0, -20.0)
+
+
+@pytest.mark.parametrize(("robot_z", "floor_z"), [(None, 0.0), (0.05, 0.0), (0.8, 0.0), (2.5, 0.0), (2.95, 3.0), (3.1, 3.0)])
+def test_a_recorded_house_is_seen_on_the_floor_of_its_robot(robot_z: float | None, floor_z: float, tmp_path: Path) -> None:
+    house = drawn_scene(load_scene(write_house(tmp_path)), ())
+    assert extent_of_drawn(house, robot_z).z == pytest.approx(floor_z, abs=1e-6)

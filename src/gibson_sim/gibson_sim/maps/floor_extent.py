@@ -13,6 +13,8 @@ from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
 from gibson_sim.formats.mesh import merge
 from gibson_sim.geometry.rasterise import clip_to_slab
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.maps.floors import floor_at
+from gibson_sim.maps.traversability import STOREY, find_floors
 from gibson_sim.scenes.builder import estimate_floor
 from gibson_sim.scenes.scene_meshes import collision_triangles
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec
@@ -37,12 +39,12 @@ def extent_of_scene(scene: SceneSpec) -> FloorExtent:
     return extent_of_triangles(*collision_triangles(scene), scene.floor_z)
 
 
-def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequence[Path] | None = None) -> FloorExtent:
-    """Returns the extent of all objects on the floor of a scene, world metres, computed from its visuals.
+def extent_of_drawn(scene: DrawnScene, z: float | None = None, roots: Sequence[Path] | None = None) -> FloorExtent:
+    """Returns the extent of all objects on a floor of a scene, world metres, computed from its visuals.
 
     Args:
         scene: the scene, whose files must be on this machine.
-        floor_z: height of the floor, world metres; None = estimated by ``estimate_floor``.
+        z: height of a point on the floor, such as a robot's, world metres; None = the lowest floor.
         roots: folders that meshes must lie in; None = the folders of the meshes.
 
     Raises:
@@ -56,7 +58,11 @@ def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequ
         vertices, triangles = loader.shape(visual.shape).merged()
         pieces.append((transform_points(matrix_from_pose(visual.pose), vertices), triangles))
     vertices, triangles = merge(pieces)
-    return extent_of_triangles(vertices, triangles, estimate_floor(vertices, triangles) if floor_z is None else floor_z)
+    floor_z = estimate_floor(vertices, triangles)
+    if z is not None and z - floor_z >= STOREY:
+        floors = [floor_z, *(height for height in find_floors(vertices, triangles) if height - floor_z >= STOREY)]
+        floor_z = floors[floor_at(floors, z)]
+    return extent_of_triangles(vertices, triangles, floor_z)
 
 
 def extent_of_triangles(vertices: ArrayLike, triangles: ArrayLike, floor_z: float) -> FloorExtent:

@@ -171,8 +171,18 @@ class _Rendering:
     def _floor_of(self, scene: DrawnScene) -> FloorExtent:
         """Returns the extent of the floor, which is computed once."""
         if self._floor is None:
-            self._floor = extent_of_drawn(with_local_files(scene, self._render.asset_folders())[0])
+            self._floor = extent_of_drawn(with_local_files(scene, self._render.asset_folders())[0], self._first_height())
         return self._floor
+
+    def _first_height(self) -> float | None:
+        """Returns the height at which the first robot starts, world metres; None = no robot, or no state."""
+        for _, _, msg in self._bag.messages([self._topics.state]):
+            if msg.revision not in self._recorded:
+                continue
+            state = conversions.scene_state_from_msg(msg, self._recorded[msg.revision].links)
+            row = next((row for row, link in enumerate(state.links) if "/" in link), None)
+            return None if row is None else float(state.positions[row, 2])
+        return None
 
     def _cameras_of(self, scene: DrawnScene) -> tuple[CameraSpec, ...]:
         """Returns the cameras to render in a scene: those whose link exists, and the views."""
