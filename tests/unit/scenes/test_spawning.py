@@ -487,7 +487,7 @@ def test_mesh_that_cannot_be_read_is_an_unsupported_asset(tmp_path: Path, name: 
 @pytest.mark.parametrize(
     "text",
     [
-        _urdf("<visual><geometry><capsule/></geometry></visual>"),
+        _urdf("<visual><geometry><cone/></geometry></visual>"),
         _sdf("<visual name='v'><geometry><heightmap/></geometry></visual>"),
     ],
 )
