@@ -90,6 +90,21 @@ def test_what_is_no_robot_is_refused() -> None:
         parse_urdf("<model/>", Path("r.urdf"))
 
 
+@pytest.mark.parametrize("head", ["<?xml?>", '<?xml verison="1.0"?>', ' <?xml version="1.0"?>', ""])
+@rule("URDF", "<?xml?> without a version, or after white space", "done", "as tinyxml2 reads it")
+def test_the_declaration_of_xml_may_be_missing_or_empty(head: str) -> None:
+    assert parse_urdf(f'{head}<robot name="r"><link name="a"/></robot>', Path("r.urdf")).root == "a"
+
+
+@rule("URDF", "<robot xmlns>", "done", "not read, as in urdfdom")
+def test_a_default_namespace_changes_nothing(tmp_path: Path) -> None:
+    assert parse('<link name="a"/>', 'name="r" xmlns="http://www.ros.org"').root == "a"
+    body = f'<link name="a"><visual>{BALL}</visual><collision>{BALL}</collision></link>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r" xmlns="http://www.ros.org">{body}</robot>')
+    (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nbase_height: 0.5\n")
+    assert load_robot(tmp_path / "robot.yaml").links == ("base_footprint", "a")
+
+
 @rule("URDF", "no <link>", "refused")
 def test_a_robot_without_links_is_refused() -> None:
     assert refusal("").endswith("r.urdf: has no <link>")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 import sys
 from collections.abc import Collection
@@ -33,6 +34,8 @@ MAX_XML_ATTRIBUTES = 500_000
 """Maximum number of attributes of an XML text."""
 MAX_XML_DEPTH = 200
 """Maximum nesting depth of elements of an XML text."""
+_NO_DECLARATION = re.compile(rb"\s*(?:<\?xml(?![^<>]*\sversion\s*=)(?:\s[^<>]*)?\?>)?")
+"""White space at the begin of an XML text, and a declaration without a version."""
 YAML_LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """The loader of libyaml if PyYAML has it, which is ten times as fast; else the pure Python loader."""
 _LONGEST_REASON = 200
@@ -252,8 +255,9 @@ def parse_xml(text: bytes) -> ElementTree.Element:
             reason = f"defines XML {what}, which are not supported; write out their values"
             raise TextError(reason).with_public(reason)
     try:
-        # Gazebo and ROS (tinyxml2) allow white space before the XML declaration, and files have it.
-        top = ElementTree.fromstring(text.lstrip(b" \t\r\n"))
+        # Gazebo and ROS (tinyxml2) allow white space before the XML declaration, and one without a version; files have both.
+        begin = _NO_DECLARATION.match(text)
+        top = ElementTree.fromstring(text[begin.end() :] if begin is not None else text)
     # ValueError, LookupError: wrong or unknown declared encoding.
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise TextError(f"is not well-formed XML: {clipped(str(error), _LONGEST_REASON)}").with_public(
@@ -266,6 +270,18 @@ def parse_xml(text: bytes) -> ElementTree.Element:
             reason = f"has elements that are nested deeper than {MAX_XML_DEPTH} levels"
             raise TextError(reason).with_public(reason)
         level = [child for element in level for child in element]
+    return top
+
+
+def without_default_namespace(top: ElementTree.Element) -> ElementTree.Element:
+    """Removes the namespace of the outermost element from all elements, and returns the outermost.
+
+    Readers of formats that have no namespace ignore ``xmlns``, as tinyxml2 does.
+    """
+    namespace, _, _ = top.tag.rpartition("}")
+    if namespace:
+        for element in top.iter():
+            element.tag = element.tag.removeprefix(f"{namespace}}}")
     return top
 
 

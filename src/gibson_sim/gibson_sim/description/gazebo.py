@@ -126,7 +126,7 @@ def gazebo_left_out(top: ET.Element, source: str) -> list[str]:
                 if _drive(item, joints) is None:
                     found[f"plugin {clipped(item.get('filename', '') or item.get('name', ''), 60)}"] = None
             elif item.tag not in _FRICTIONS and all(item.find(f".//{key}") is None for key in _FRICTIONS):
-                found[f"<{clipped(item.tag, 40)}>"] = None
+                found[f"<{clipped(item.tag.rpartition('}')[2], 40)}>"] = None
     return [f"{source}: left out of <gazebo>, for Gazebo alone: {listed(found)}"] if found else []
 
 

@@ -24,7 +24,7 @@ from gibson_sim.description.xacro import is_xacro, with_defaults
 from gibson_sim.errors import RobotError, TextError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import parse_xml, read_file
+from gibson_sim.reading import parse_xml, read_file, without_default_namespace
 from gibson_sim.types import Pose, Quat, Rgba, Vec3
 
 __all__ = [
@@ -68,7 +68,9 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
     """
     xacro = f"{source.absolute()}: is a xacro, not a URDF; expand it first: xacro {source.name} > robot.urdf"
     try:
-        top = parse_xml(with_defaults(text.encode("utf-8", errors="replace") if isinstance(text, str) else text))
+        top = without_default_namespace(
+            parse_xml(with_defaults(text.encode("utf-8", errors="replace") if isinstance(text, str) else text))
+        )
     except TextError as error:
         raise RobotError(xacro if is_xacro(text) else f"{source}: {error}").with_public(error.public) from error
     if is_xacro(text, top):

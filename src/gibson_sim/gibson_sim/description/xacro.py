@@ -24,7 +24,7 @@ from gibson_sim.description.mesh_files import resolve_mesh
 from gibson_sim.description.xacro_process import LEFT_OUT, LIMIT_S
 from gibson_sim.errors import RobotError, TextError
 from gibson_sim.quoting import clipped
-from gibson_sim.reading import is_file, parse_xml, read_file
+from gibson_sim.reading import is_file, parse_xml, read_file, without_default_namespace
 from gibson_sim.resources import cache_folder
 
 logger = logging.getLogger(__name__)
@@ -154,6 +154,7 @@ def _check_robot(path: Path, data: bytes, left_out: Sequence[str]) -> None:
         top = parse_xml(data)
     except TextError:
         return
+    without_default_namespace(top)
     if top.tag == "sdf":
         raise RobotError(f"{path}: expands to an SDF model, which is spawned as a body; give a URDF or a xacro of one")
     if top.find("link") is None:
@@ -197,6 +198,7 @@ def _with_absolute_meshes(data: bytes, path: Path, *, relative_only: bool = Fals
         top = parse_xml(data)
     except TextError as error:
         raise RobotError(f"{path}: {error}").with_public(error.public) from error
+    without_default_namespace(top)
     for element in (*top.iter("mesh"), *top.iter("texture")):
         name = element.get("filename", "")
         if not name or (relative_only and ("://" in name or name.startswith("/"))):

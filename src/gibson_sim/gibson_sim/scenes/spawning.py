@@ -27,7 +27,7 @@ from gibson_sim.formats.load_mesh import MESH_SUFFIXES, MeshLoader
 from gibson_sim.formats.textured_shapes import with_textures
 from gibson_sim.formats.uris import UriResolver, ancestors
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, is_folder, parse_xml, read_file
+from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, is_folder, parse_xml, read_file, without_default_namespace
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
@@ -222,7 +222,7 @@ def _body_from_xml(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is not XML; give a URDF (<robot>) or an SDF model (<sdf>)")
     try:
-        top = parse_xml(data)
+        top = without_default_namespace(parse_xml(data))
     except TextError as e:
         if is_xacro(data):
             raise _xacro_error(path) from e

@@ -15,7 +15,7 @@ from gibson_sim.description.xacro import cache_description
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import parse_xml, read_file
+from gibson_sim.reading import parse_xml, read_file, without_default_namespace
 
 FOOTPRINT = "base_footprint"
 """Name of the added link on the floor."""
@@ -50,7 +50,7 @@ def with_base(
             f"base_link is {quoted(base)}, must be the root link of {model.path.name}, {quoted(model.root)}, or a link fixed "
             f"to it: {known}"
         )
-    top = parse_xml(read_file(model.path))
+    top = without_default_namespace(parse_xml(read_file(model.path)))
     _lower_joints(top, model, drops)
     _set_frictions(top, model, frictions)
     _set_spheres(top, model, rounds)

@@ -24,7 +24,7 @@ from gibson_sim.description.urdf import UrdfModel, parse_urdf
 from gibson_sim.description.xacro import plain_description
 from gibson_sim.errors import ConfigError, GibsonSimError, RobotError
 from gibson_sim.formats.yaml_map import read_yaml_map
-from gibson_sim.reading import parse_xml, read_file
+from gibson_sim.reading import parse_xml, read_file, without_default_namespace
 from gibson_sim.robots.load import derive_file, find_robot_file, load_robot
 from gibson_sim.robots.loading.derive import DESCRIPTION_SUFFIXES
 from gibson_sim.scenes.robot_files import mesh_points
@@ -91,7 +91,7 @@ class VariedRobot:
                 for key, value in (self._values.pop("xacro_args", None) or {}).items()
             }
         self._source = plain_description(file, arguments)
-        self._urdf = _with_portable_meshes(parse_xml(read_file(self._source)), self._source)
+        self._urdf = _with_portable_meshes(without_default_namespace(parse_xml(read_file(self._source))), self._source)
         self._model = parse_urdf(ET.tostring(self._urdf), self._source)
         self._payload_link, self._payload_centre = _payload_position(self._model)
 
