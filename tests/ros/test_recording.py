@@ -299,6 +299,34 @@ def test_where_lockstep_runs_already_it_begins_once_all_publishers_are_matched(s
     assert any("time is running already: the bag begins" in line for line in recorder.lines)
 
 
+def test_where_lockstep_runs_already_it_begins_once_each_image_topic_has_delivered_an_image(source: Source) -> None:
+    """A renderer that is short of CPU time discovers the recorder's subscription late: its images before that do not arrive."""
+    listener, node = source.listener, source.listener.node
+    said = listener.collect(TickDone, "tick_done", qos.TICK_DONE)
+    images = node.create_publisher(Image, "/c/image_raw", DEEP)
+    recorder = source.record()
+    stamps, sent = count(1), list[int]()
+    listener.spin_until(lambda: bool(images.get_subscription_count()), "a recorder that subscribes to the images")
+    silent_until = time.monotonic() + 3.0  # three times as long as discovery takes to settle
+
+    def takes_part() -> bool:
+        now_ns = next(stamps)
+        source.say("before", at_ns=now_ns)
+        if time.monotonic() > silent_until:
+            sent.append(now_ns)
+            images.publish(image_to_msg(np.zeros((4, 4, 3), np.uint8), "rgb8", now_ns, "c"))
+        return any(m.event == TickDone.WATCH for m in said)
+
+    listener.spin_until(takes_part, "a recorder that takes part")
+    assert sent, "it takes part only after the first image"
+    time.sleep(0.5)  # messages on their way arrive
+    source.say("first", at_ns=NS)
+    source.wait_until_delivered()
+    source.stop()
+    assert _texts(source.folder / "bag")[0][0] > sent[0], "the bag begins after it"
+    assert not any("no image on" in line for line in recorder.lines)
+
+
 def test_recorder_that_cannot_start_says_why(ros_domain: int, tmp_path: Path) -> None:
     (tmp_path / "bag").write_text("mine")
     recorder = LaunchedNode("record", "-p", f"output:={tmp_path / 'bag'}")

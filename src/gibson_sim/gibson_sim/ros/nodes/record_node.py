@@ -52,6 +52,8 @@ TIME_KNOWN_S = 0.5
 """Time after the discovery of a publisher of /clock after which it is known whether time runs and whether lockstep is on, s of wall time."""
 ALONE_S = 3.0
 """Time without a publisher of /clock after which the recorder counts as started before the simulation, s of wall time."""
+IMAGES_TIMEOUT_S = 20.0
+"""Timeout for the first image of each topic in a simulation whose time runs, s of wall time."""
 UNMATCHED_S = 5.0
 """Time after which an unmatched publisher is reported, s of wall time."""
 ENDED_EARLY = 5
@@ -69,8 +71,8 @@ class RecordNode(Node):
     ``<camera>/image_raw`` as ``<camera>/image_raw/compressed``.
 
     In lockstep, time waits at ticks with images until the node has written the images of the previous tick, however slow the disk is. If the
-    simulation was started first, the bag begins with a /clock: if time runs, the first one after all topics are discovered; if time
-    stands still, the next one. See ``StartGate``.
+    simulation was started first, the bag begins with a /clock: if time runs, the first one after all topics are discovered and
+    each image topic has delivered an image; if time stands still, the next one. See ``StartGate``.
 
     Parameters: the fields of ``gibson_sim.client_config.RecordConfig``.
 
@@ -118,6 +120,8 @@ class RecordNode(Node):
         """Raw image topic -> topic in the bag."""
         self._streams: dict[str, ImageStream] = {}
         """Image topic -> image stream that a camera of the scene publishes on it."""
+        self._image_topics: set[str] = set()
+        """Topics with images to which this node subscribes."""
         self._images: set[str] | None = set()
         """Recorded topics of raw images; None = the estimate of their size was logged."""
         self._start_gate = StartGate(self._latched.__contains__)
@@ -175,7 +179,7 @@ class RecordNode(Node):
             # Time stands still. An image of the present tick may be published again, without the other messages of the tick.
             gate.open_at_next_clock()
             self._join()
-        elif known_s > DISCOVERY_TIMEOUT_S or now - max(self._changed, self._time_known) > SETTLED_S:
+        elif self._all_arrive(known_s, now - max(self._changed, self._time_known)):
             self._write_received(flush=True)
             self._subscribed.reset_losses()
             gate.open_at_next_clock()
@@ -183,6 +187,25 @@ class RecordNode(Node):
             self._join()
         elif gate.is_late:
             gate.discard()
+
+    def _all_arrive(self, known_s: float, settled_s: float) -> bool:
+        """Returns whether all messages arrive that are published from now on, as far as can be known while time runs.
+
+        A subscription knows its publishers before they know it, and a renderer that is short of CPU time is slow to discover it. Time does
+        not wait for that, so the first image of each topic must have arrived.
+
+        Args:
+            known_s: time since the simulation was discovered, s of wall time.
+            settled_s: time since the last discovery of a topic or a publisher, s of wall time.
+        """
+        assert self._subscribed is not None
+        silent = self._subscribed.silent(self._image_topics)
+        if not silent or known_s <= IMAGES_TIMEOUT_S:
+            return not silent and (settled_s > SETTLED_S or known_s > DISCOVERY_TIMEOUT_S)
+        self.get_logger().warning(
+            f"no image on {', '.join(silent)} within {IMAGES_TIMEOUT_S:g} s: the bag begins without it, and may lack the first ones"
+        )
+        return True
 
     def _join(self) -> None:
         self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
@@ -239,6 +262,7 @@ class RecordNode(Node):
                 return
             if self._images is not None and type_name != COMPRESSED:
                 self._images.add(topic)
+            self._image_topics.add(topic)
         profile = recording_profile(publishers, type_name)
         latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         if latched:

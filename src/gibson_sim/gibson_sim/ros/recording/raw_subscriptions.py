@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -114,6 +115,10 @@ class RawSubscriptions:
         count = len(self._held) if flush else bisect_right(self._held, self._until_ns, key=_sent_ns)
         received, self._held = self._held[:count], self._held[count:]
         return received
+
+    def silent(self, topics: Iterable[str]) -> list[str]:
+        """Returns the topics of which no message has arrived yet, in order."""
+        return sorted(topic for topic in topics if topic in self._subscriptions and topic not in self._sent_ns)
 
     def unmatched_publishers(self) -> dict[str, tuple[int, int]]:
         """Returns topic -> number of matched publishers and of discovered ones, for topics with unmatched publishers.
