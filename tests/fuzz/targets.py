@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from fuzz import archives, bodies, meshes, recordings, scans, scenes
+from fuzz import archives, bodies, flips, meshes, recordings, scans, scenes
 from fuzz.grammar import SECRET, Mutator
 from fuzz.trial import Trial
 
@@ -36,6 +36,7 @@ TARGETS: dict[str, Target] = {
     "world": Target(scenes.make_world, scenes.run),
     "archive": Target(archives.make, archives.run),
     "bag": Target(recordings.make, recordings.run),
+    "flip": Target(flips.make, flips.run),
     "scan": Target(scans.make, scans.run),
 }
 

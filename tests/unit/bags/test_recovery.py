@@ -10,9 +10,12 @@ from typing import Any
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
+from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.writer import BagWriter, TopicQos, repair
+from gibson_sim.cli.command_line import run as run_command
 from gibson_sim.errors import RecordError
 
 STRING = "std_msgs/msg/String"
@@ -107,7 +110,7 @@ def test_index_of_a_repaired_bag_leads_to_its_messages(bag: Path) -> None:
 def test_damaged_chunk_loses_only_its_own_messages(bag: Path) -> None:
     file = bag / "bag_0.mcap"
     content = bytearray(file.read_bytes())
-    content[_chunk_ends(file)[3] - 60] ^= 0xFF
+    content[_chunk_ends(file)[3] - 10] ^= 0xFF
     file.write_bytes(content[:-10])
     repair(bag)
     assert _read(bag) == WHOLE[:6] + WHOLE[8:]
@@ -118,7 +121,7 @@ def test_zeros_after_the_data_are_cut_off(bag: Path) -> None:
     file = bag / "bag_0.mcap"
     content = file.read_bytes()[: _chunk_ends(file)[4]]
     file.write_bytes(content + bytes(5000))
-    assert repair(bag).cut_bytes == 5000
+    assert repair(bag).skipped == 5000
     assert _read(bag) == WHOLE[:10]
 
 
@@ -157,7 +160,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert done.returncode == -signal.SIGKILL
     assert repair(tmp_path / "bag").messages == 50
     assert _read(tmp_path / "bag") == [("/a", i) for i in range(50)]
-    assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+    assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "bag_0.mcap.damaged", "metadata.yaml"]
 
 
 def test_folder_without_a_bag_is_refused(tmp_path: Path) -> None:
@@ -176,3 +179,155 @@ def test_empty_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
     with pytest.raises(RecordError, match="nothing was recorded"):
         repair(tmp_path)
+
+
+def _flip(file: Path, byte: int, bit: int = 0) -> bytes:
+    content = bytearray(file.read_bytes())
+    content[byte] ^= 1 << bit
+    file.write_bytes(content)
+    return bytes(content)
+
+
+@pytest.mark.parametrize("field", range(9, 9 + 28))
+def test_bit_in_the_head_of_a_chunk_costs_nothing_or_is_reported_and_never_touches_the_chunks_behind(
+    bag: Path, field: int
+) -> None:
+    """The head holds the times, the size, the checksum; a flipped bit there once cut off all chunks behind it."""
+    file = bag / "bag_0.mcap"
+    begin = _chunk_ends(file)[2]
+    while file.read_bytes()[begin] != 6:  # the message indices of the chunk before
+        begin += 9 + int.from_bytes(file.read_bytes()[begin + 1 : begin + 9], "little")
+    damaged = _flip(file, begin + field)
+    result = repair(bag)
+    is_checksum = field >= 9 + 24
+    assert _read(bag) == (WHOLE[:6] + WHOLE[8:] if is_checksum else WHOLE)
+    assert (result.complete, result.lost) == ((False, {"/a": 1, "/b": 1}) if is_checksum else (True, {}))
+    assert (bag / "bag_0.mcap.damaged").read_bytes() == damaged
+    assert ("stepped over" in result.text()) == is_checksum
+    assert "kept as bag_0.mcap.damaged" in result.text()
+
+
+@pytest.mark.parametrize("byte", range(9))
+def test_bit_in_the_kind_or_the_length_of_a_chunk_costs_nothing(bag: Path, byte: int) -> None:
+    file = bag / "bag_0.mcap"
+    with file.open("rb") as stream:
+        begin = make_reader(stream).get_summary().chunk_indexes[3].chunk_start_offset  # type: ignore[union-attr]
+    _flip(file, begin + byte, 1)
+    assert repair(bag).complete
+    assert _read(bag) == WHOLE
+
+
+def test_damage_in_two_places_is_reported_with_offsets_and_what_is_lost(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    ends = _chunk_ends(file)
+    _flip(file, ends[1] - 5)
+    _flip(file, ends[7] - 5)
+    result = repair(bag)
+    assert _read(bag) == WHOLE[:2] + WHOLE[4:14] + WHOLE[16:]
+    assert all(reason.startswith("a chunk that is damaged: ") for _, _, reason in result.repairs[0].gaps)
+    assert [end for _, end, _ in result.repairs[0].gaps] == [ends[1], ends[7]]
+    assert sum(result.lost.values()) == 4
+    assert "lost:             3 /a" in result.text()
+
+
+def test_whole_file_whose_chunks_are_damaged_is_not_called_whole(bag: Path) -> None:
+    """Its summary is sound and lists all messages."""
+    _flip(bag / "bag_0.mcap", _chunk_ends(bag / "bag_0.mcap")[0] - 5)
+    result = repair(bag)
+    assert (result.changed, result.complete, result.messages) == (True, False, 18)
+
+
+def test_kept_files_are_never_overwritten(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    first = _flip(file, _chunk_ends(file)[0] - 5)
+    repair(bag)
+    second = _flip(file, _chunk_ends(file)[3] - 5)
+    repair(bag)
+    assert (bag / "bag_0.mcap.damaged").read_bytes() == first
+    assert (bag / "bag_0.mcap.damaged.2").read_bytes() == second
+
+
+def test_index_that_leads_elsewhere_is_written_anew(bag: Path) -> None:
+    """The flipped bit is in the offset of a chunk in the summary: readers that use the index lose the chunk."""
+    file = bag / "bag_0.mcap"
+    with file.open("rb") as stream:
+        offset = make_reader(stream).get_summary().chunk_indexes[3].chunk_start_offset  # type: ignore[union-attr]
+    _flip(file, file.read_bytes().rindex(offset.to_bytes(8, "little")))
+    result = repair(bag)
+    assert "the index of chunks is wrong" in result.text()
+    assert result.complete
+    assert _read(bag) == WHOLE
+
+
+def test_topic_whose_description_is_damaged_keeps_its_name(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    _flip(file, file.read_bytes().index(b"/b"), 1)  # outside of chunks; the chunks and the summary have it, too
+    assert repair(bag).complete
+    assert _read(bag) == WHOLE
+
+
+def test_messages_outside_of_chunks_attachments_and_foreign_records_are_kept(tmp_path: Path, messages: Any) -> None:
+    data = [messages.text(f"{k:100d}") for k in range(10)]
+    path = tmp_path / "plain.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start("ros2", "test")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for k in range(5):
+            writer.add_message(channel, k, data[k], k)
+        writer.add_attachment(1, 2, "map.png", "image/png", b"picture")
+        for k in range(5, 10):
+            writer.add_message(channel, k, data[k], k)
+        writer.add_metadata("mine", {"a": "b"})
+        writer.finish()
+    damaged = path.read_bytes()
+    path.write_bytes(damaged[:-20])
+    result = repair(tmp_path)
+    assert _read(tmp_path) == [("/a", k) for k in range(10)]
+    assert "not checked: the content of 10 messages has no checksum" in result.text()
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        assert [(a.name, a.data) for a in reader.iter_attachments()] == [("map.png", b"picture")]
+        assert {m.name: m.metadata for m in reader.iter_metadata()}["mine"] == {"a": "b"}
+
+
+def test_no_room_for_the_new_file_leaves_the_bag_as_it_is(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    damaged = _flip(bag / "bag_0.mcap", _chunk_ends(bag / "bag_0.mcap")[0] - 5)
+
+    def full(*_: Any) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gibson_sim.bags.mcap_recovery._write_all", full)
+    with pytest.raises(RecordError, match=r"No space left on device; the new files need as much room"):
+        repair(bag)
+    assert sorted(p.name for p in bag.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+    assert (bag / "bag_0.mcap").read_bytes() == damaged
+
+
+def test_files_that_are_compressed_as_a_whole_are_unpacked_first(tmp_path: Path) -> None:
+    (tmp_path / "bag_0.mcap.zstd").write_bytes(b"x")
+    with pytest.raises(RecordError, match=r"unpack its compressed files first: zstd -d bag_0\.mcap\.zstd"):
+        repair(tmp_path)
+
+
+def test_command_reports_the_loss_and_exits_with_1(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["bag", "repair", str(bag)]) == 0
+    assert "is whole, with 20 messages: nothing to do" in capsys.readouterr().out
+    _flip(bag / "bag_0.mcap", _chunk_ends(bag / "bag_0.mcap")[0] - 5)
+    assert run_command(["bag", "repair", str(bag)]) == 1
+    assert "lost:             2 /a" in capsys.readouterr().out
+
+
+def test_reader_names_the_command_that_reads_the_rest(bag: Path) -> None:
+    _flip(bag / "bag_0.mcap", _chunk_ends(bag / "bag_0.mcap")[4] - 5)
+    with BagReader(bag) as reader, pytest.raises(RecordError, match=r"bag repair .*bag`, which keeps the damaged file"):
+        list(reader.raw_messages())
+
+
+def test_reader_warns_of_messages_that_the_bag_lists_and_does_not_have(bag: Path, caplog: pytest.LogCaptureFixture) -> None:
+    text = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(text.replace("message_count: 12", "message_count: 13"))
+    with BagReader(bag) as reader:
+        assert len(list(reader.raw_messages())) == 20
+    assert "does not have the messages that it lists (/a: 12 of 13)" in caplog.text

@@ -101,7 +101,7 @@ def test_crash_in_the_last_of_several_files_can_be_repaired(tmp_path: Path, mess
     assert (result.messages, result.changed) == (25, True)
     assert _read(copy) == list(range(25))
     assert not repair(copy).changed
-    assert {p.suffix for p in copy.iterdir()} == {f".{SUFFIX[storage]}", ".yaml"}
+    assert {p.suffix for p in copy.iterdir() if ".damaged" not in p.name} == {f".{SUFFIX[storage]}", ".yaml"}
 
 
 def test_tenth_file_follows_the_ninth_in_a_repaired_bag(tmp_path: Path, messages: Any) -> None:

@@ -43,15 +43,17 @@ def test_rosbags_reads_back_every_byte_and_time(tmp_path: Path, messages: Any) -
         assert reader.connections[0].ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
 
 
-def test_repair_refuses_timestamps_that_are_no_numbers(tmp_path: Path, messages: Any) -> None:
-    _write(tmp_path / "bag", messages)
-    (tmp_path / "bag" / "metadata.yaml").unlink()
+def test_repair_leaves_out_rows_that_are_no_messages_and_says_which(tmp_path: Path, messages: Any) -> None:
+    data = _write(tmp_path / "bag", messages)
     (file,) = (tmp_path / "bag").glob("*.db3")
     with closing(sqlite3.connect(file)) as connection:
         connection.execute("UPDATE messages SET timestamp = 'soon' WHERE id = 3")
         connection.commit()
-    with pytest.raises(RecordError, match=r"is not a bag \(its timestamps are 1000 to 'soon', must be integers\)"):
-        repair(tmp_path / "bag")
+    result = repair(tmp_path / "bag")
+    assert (result.messages, dict(result.lost), result.complete) == (len(data) - 1, {"/a": 1}, False)
+    assert "messages that are missing, by their numbers: 3" in result.text()
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert [raw for _, _, raw in reader.messages()] == [*data[:2], *data[3:]]
 
 
 def test_tables_and_columns_are_those_that_rosbags_writes(tmp_path: Path, messages: Any) -> None:
@@ -107,12 +109,15 @@ os.kill(os.getpid(), signal.SIGKILL)
     environment = {**os.environ, "PYTHONPATH": str(root / "src/gibson_sim")}
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "bag")], env=environment, check=False)
     assert done.returncode == -signal.SIGKILL
+    before = {p.name: p.read_bytes() for p in (tmp_path / "bag").glob("*.db3*") if not p.name.endswith("-shm")}
     result = repair(tmp_path / "bag")
-    assert (result.messages, result.changed) == (50, True)
+    assert (result.messages, result.changed, result.complete) == (50, True, True)
     with AnyReader([tmp_path / "bag"]) as reader:
         assert [t for _, t, _ in reader.messages()] == list(range(50))
     assert not repair(tmp_path / "bag").changed
-    assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.db3", "metadata.yaml"]
+    after = {p.name: p.read_bytes() for p in (tmp_path / "bag").iterdir()}
+    assert sorted(after) == ["bag_0.db3", "bag_0.db3.damaged", "bag_0.db3.damaged-wal", "metadata.yaml"]
+    assert before == {name.replace(".damaged", ""): after[name] for name in ("bag_0.db3.damaged", "bag_0.db3.damaged-wal")}
 
 
 def test_file_that_is_no_database_is_refused_and_left_alone(tmp_path: Path) -> None:

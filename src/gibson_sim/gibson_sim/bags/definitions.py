@@ -119,6 +119,37 @@ class MessageDefinitions:
         return self._texts[name]
 
 
+def settled(type_name: str, text: str, recorded_hash: str) -> tuple[str, str, str]:
+    """Settles a full definition and a hash that do not agree, by the installed definition of the type.
+
+    Args:
+        type_name: name of the type.
+        text: full definition in encoding ``ros2msg``, as a bag has it.
+        recorded_hash: hash as the bag has it; empty = none.
+
+    Returns:
+        The definition, the hash, and one line that says which of the two was changed; empty if they agree.
+    """
+    installed = MessageDefinitions()
+    try:
+        own = _hash(type_name, text)
+    except (RecordError, ValueError, RecursionError):
+        own = ""
+    if own == recorded_hash or (own and not recorded_hash):
+        return text, recorded_hash, ""
+    try:
+        known = installed.type_hash(type_name)
+    except RecordError:
+        known = ""
+    if known and (known == recorded_hash or not own):
+        return (
+            installed.full_text(type_name),
+            known,
+            f"the description of type {type_name} was damaged; in its place: the installed one",
+        )
+    return text, own, f"the hash of type {type_name} did not match its description: the description counts"
+
+
 @lru_cache(maxsize=1024)
 def _nested_types(name: str, text: str) -> tuple[str, ...]:
     """Returns the message types of the fields in order, without repetition."""

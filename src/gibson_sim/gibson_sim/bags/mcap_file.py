@@ -17,7 +17,19 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 from mcap.writer import MCAP0_MAGIC
 
 from gibson_sim.bags.metadata import TopicRecord, dump_information, dump_qos
@@ -31,7 +43,7 @@ MESSAGE = struct.Struct("<HIQQ")
 """Channel, sequence number, log time and publish time of a message."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")
 """``RECORD`` and ``MESSAGE``."""
-_CHUNK_TIMES = struct.Struct("<QQQI")
+CHUNK_TIMES = struct.Struct("<QQQI")
 """First and last log time, uncompressed size and checksum of a chunk."""
 _INDEX_HEAD = struct.Struct("<BQHI")
 """``RECORD``, channel, and length of the entries in bytes."""
@@ -56,8 +68,9 @@ class McapFile:
         self._sink = Sink(path, emergency)
         self._chunk_bytes, self._compression = chunk_bytes, compression
         self._section = DataSection()
-        self._small, self._large = _Chunk(), _Chunk()
+        self._small, self._large = _Chunk(set()), _Chunk(set())
         self._channels: dict[str, int] = {}
+        self._descriptions: dict[int, bytes] = {}
         self._schemas: dict[str, int] = {}
         builder = RecordBuilder()
         builder.write(MCAP0_MAGIC)
@@ -95,12 +108,18 @@ class McapFile:
         self._section.channels[channel_id] = channel
         self._channels[topic.name] = channel_id
         self._sink.write(builder.end())  # type: ignore[no-untyped-call]
+        self._section.schemas[channel.schema_id].write(builder)
+        channel.write(builder)
+        self._descriptions[channel_id] = bytes(builder.end())  # type: ignore[no-untyped-call]
 
     def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
         """Adds one message of a declared topic."""
-        chunk = self._large if len(data) >= LARGE_BYTES else self._small
-        chunk.add_message(self._channels[topic], data, log_time_ns, publish_time_ns)
-        if chunk.size > self._chunk_bytes:
+        chunk, channel = self._large if len(data) >= LARGE_BYTES else self._small, self._channels[topic]
+        if channel not in chunk.described:
+            # Outside of chunks a description has no checksum.
+            chunk.describe(channel, self._descriptions[channel])
+        chunk.add_message(channel, data, log_time_ns, publish_time_ns)
+        if chunk.size - chunk.described_bytes > self._chunk_bytes:
             if chunk is self._large and self._small.messages and log_time_ns - self._small.start_ns > _SPAN_NS:
                 self._write_indexed(self._small)
             self._write_indexed(chunk)
@@ -125,9 +144,9 @@ class McapFile:
         counts = Counter({channel: len(messages) for channel, messages in chunk.messages.items()})
         self._section.chunks.append(ChunkEntry(index, counts, self._sink.position))
         if chunk is self._large:
-            self._large = _Chunk()
+            self._large = _Chunk(chunk.described)
         else:
-            self._small = _Chunk()
+            self._small = _Chunk(chunk.described)
 
     def _write_chunk(self, chunk: _Chunk) -> ChunkIndex:
         """Writes the chunk record; returns its index, without the message indices that follow."""
@@ -139,7 +158,7 @@ class McapFile:
             packed = _compress(b"".join(parts), self._compression)
             parts, size = [packed], len(packed)
         name = b"" if self._compression == "none" else self._compression.encode()
-        times = _CHUNK_TIMES.pack(chunk.start_ns, chunk.end_ns, chunk.size, crc)
+        times = CHUNK_TIMES.pack(chunk.start_ns, chunk.end_ns, chunk.size, crc)
         body = times + struct.pack("<I", len(name)) + name + struct.pack("<Q", size)
         position = self._sink.position
         self._sink.write(RECORD.pack(Opcode.CHUNK, len(body) + size) + body)
@@ -171,7 +190,9 @@ class McapFile:
 class _Chunk:
     """A chunk that is being filled."""
 
-    def __init__(self) -> None:
+    def __init__(self, described: set[int]) -> None:
+        """Starts a chunk; ``described``: channels that earlier chunks describe, and that this one will."""
+        self.described, self.described_bytes = described, 0
         self.parts: list[bytes | bytearray | memoryview] = []
         self.size = 0
         self.start_ns = self.end_ns = 0
@@ -190,11 +211,16 @@ class _Chunk:
             self._gathered += data
         self.size += len(data)
 
+    def describe(self, channel: int, records: bytes) -> None:
+        """Appends the descriptions of a channel and its type."""
+        self.described.add(channel)
+        self.described_bytes += len(records)
+        self.add(records)
+
     def add_message(self, channel: int, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
         """Appends one message."""
-        if not self.messages:
-            self.start_ns = log_time_ns
-        self.end_ns = log_time_ns
+        self.start_ns = min(self.start_ns, log_time_ns) if self.messages else log_time_ns
+        self.end_ns = max(self.end_ns, log_time_ns)
         self.messages.setdefault(channel, []).append((log_time_ns, self.size))
         length = MESSAGE.size + len(data)
         self.add(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, channel, 0, log_time_ns, publish_time_ns))
@@ -226,6 +252,7 @@ class DataSection:
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkEntry] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
 
     def times_and_counts(self) -> tuple[int, int, Counter[int]]:
         """Returns the times of the first and the last message, 0 without messages, and channel -> number of messages."""
@@ -252,7 +279,7 @@ def end_of_file(section: DataSection, position: int, information: Mapping[str, A
     metadata.append(MetadataIndex(offset=position, length=builder.count, name="rosbag2"))
     DataEnd(0).write(builder)
     statistics = Statistics(
-        attachment_count=0,
+        attachment_count=len(section.attachments),
         channel_count=len(section.channels),
         channel_message_counts=dict(counts),
         chunk_count=len(section.chunks),
@@ -268,10 +295,13 @@ def end_of_file(section: DataSection, position: int, information: Mapping[str, A
         (Opcode.CHANNEL, list(section.channels.values())),
         (Opcode.STATISTICS, [statistics]),
         (Opcode.CHUNK_INDEX, [chunk.index for chunk in section.chunks]),
+        (Opcode.ATTACHMENT_INDEX, section.attachments),
         (Opcode.METADATA_INDEX, metadata),
     )
     offsets = []
     for opcode, records in groups:
+        if not records:
+            continue
         group = position + builder.count
         for record in records:
             record.write(builder)
@@ -279,10 +309,11 @@ def end_of_file(section: DataSection, position: int, information: Mapping[str, A
     offset_start = position + builder.count
     for offset in offsets:
         offset.write(builder)
-    # A checksum of 0 = no checksum.
+    # The checksum covers the summary and the footer up to the checksum itself.
     Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=0).write(builder)
-    builder.write(MCAP0_MAGIC)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]
+    written = bytearray(builder.end())  # type: ignore[no-untyped-call]
+    crc = zlib.crc32(memoryview(written)[summary_start - position : -4])
+    return bytes(written[:-4]) + struct.pack("<I", crc) + MCAP0_MAGIC
 
 
 def message_index(channel: int, messages: list[tuple[int, int]]) -> bytes:

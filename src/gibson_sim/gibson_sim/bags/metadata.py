@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Protocol
@@ -201,6 +201,32 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     return information if isinstance(information, dict) else {}
 
 
+def parse_information(text: str) -> dict[str, Any]:
+    """Returns the metadata embedded in a storage file; empty if it cannot be parsed."""
+    try:
+        content = parse_yaml(text)
+    except TextError:
+        return {}
+    content = content.get("rosbag2_bagfile_information", content) if isinstance(content, dict) else None
+    return content if isinstance(content, dict) else {}
+
+
+def listed_topics(information: Mapping[str, Any]) -> dict[str, TopicRecord]:
+    """Returns the topics by name as metadata lists them; without entries that are no topics."""
+    found: dict[str, TopicRecord] = {}
+    entries = information.get("topics_with_message_count")
+    for entry in entries if isinstance(entries, list) else []:
+        topic, count = (entry.get("topic_metadata"), entry.get("message_count")) if isinstance(entry, dict) else (None, None)
+        name, type_name = (topic.get("name"), topic.get("type")) if isinstance(topic, dict) else (None, None)
+        if not (isinstance(topic, dict) and isinstance(name, str) and isinstance(type_name, str) and isinstance(count, int)):
+            continue
+        qos = topic.get("offered_qos_profiles")  # a text before version 9
+        profiles = offered_qos(qos) if isinstance(qos, str) else qos if isinstance(qos, list) else []
+        earlier = found[name].count if name in found else 0
+        found[name] = TopicRecord(name, type_name, profiles, str(topic.get("type_description_hash") or ""), count + earlier)
+    return found
+
+
 def offered_qos(text: str) -> list[Any]:
     """Returns the profiles of a topic from their YAML text in a storage file; empty if it cannot be parsed."""
     try:
@@ -208,6 +234,20 @@ def offered_qos(text: str) -> list[Any]:
     except TextError:
         return []
     return content if isinstance(content, list) else []
+
+
+def is_qos(text: str) -> bool:
+    """Returns whether the text of the profiles of a topic can be parsed; an empty one can."""
+    try:
+        content = parse_yaml(text)
+    except TextError:
+        return False
+    return content is None or isinstance(content, list)
+
+
+def damaged_qos(topic: str, replacement: str) -> str:
+    """Returns the line that says what became of the damaged QoS of a topic."""
+    return f"the QoS of topic {topic!r:.200} is damaged: " + ("that of the metadata counts" if replacement else "it is left out")
 
 
 def write_metadata(folder: Path, information: dict[str, Any]) -> None:

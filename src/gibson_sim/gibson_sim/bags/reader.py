@@ -5,6 +5,8 @@ A thin layer over `rosbags`, which does not need ROS: message types come from th
 
 from __future__ import annotations
 
+import logging
+from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +24,7 @@ from gibson_sim.bags.metadata import TopicQos
 from gibson_sim.errors import RecordError
 from gibson_sim.quoting import clipped, quoted
 
+_log = logging.getLogger(__name__)
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "mono8")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 _LONGEST_REASON = 300
@@ -69,6 +72,7 @@ class BagReader:
         self.folder = Path(folder)
         check_bag(self.folder)
         self._reader: AnyReader | None = None
+        self._warned = False
         try:
             # Bags without definitions (sqlite3 before Jazzy) are read with the types of Jazzy.
             reader = AnyReader([self.folder], default_typestore=get_typestore(Stores.ROS2_JAZZY))
@@ -134,13 +138,32 @@ class BagReader:
         connections = self._connections(topics)
         if not connections:
             return
+        counts: Counter[str] = Counter()
         try:
             for connection, log_time, data in reader.messages(connections, start=start_ns, stop=stop_ns):
+                counts[connection.topic] += 1
                 yield connection.topic, log_time, data
         except Exception as error:
             raise RecordError(
-                f"bag {self.folder} is damaged ({_reason(error)}); run `gibson-sim bag repair` on a copy of it"
+                f"bag {self.folder} is damaged ({_reason(error)}); run `gibson-sim bag repair {self.folder}`, which keeps the damaged file"
             ) from error
+        if start_ns is None and stop_ns is None:
+            self._warn_of_missing(connections, counts)
+
+    def _warn_of_missing(self, connections: list[Connection], counts: Counter[str]) -> None:
+        """Warns once where a bag does not have the messages that it lists: an index that is damaged hides them."""
+        listed: Counter[str] = Counter()
+        for connection in connections:
+            listed[connection.topic] += connection.msgcount
+        wrong = [f"{topic}: {counts[topic]} of {count}" for topic, count in sorted(listed.items()) if counts[topic] != count]
+        if wrong and not self._warned:
+            self._warned = True
+            _log.warning(
+                "bag %s does not have the messages that it lists (%s); run `gibson-sim bag repair %s`",
+                self.folder,
+                clipped(", ".join(wrong), _LONGEST_REASON),
+                self.folder,
+            )
 
     def first(self, topic: str) -> Any:
         """Returns the first message of a topic.
@@ -151,7 +174,7 @@ class BagReader:
         for _, _, message in self.messages([topic]):
             return message
         raise RecordError(
-            f"bag {self.folder} is damaged (no message of {topic} is there); run `gibson-sim bag repair` on a copy of it"
+            f"bag {self.folder} is damaged (no message of {topic} is there); run `gibson-sim bag repair {self.folder}`, which keeps the damaged file"
         )
 
     def decode(self, type_name: str, data: bytes) -> Any:

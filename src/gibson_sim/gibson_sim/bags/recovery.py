@@ -1,8 +1,7 @@
-"""Repairs a bag whose writer could not finish: after a crash, a power cut or a full disk.
+"""Repairs a bag that was cut off or damaged: after a crash, a power cut, a full disk, or with changed bytes.
 
-An mcap file is read from the start, chunk by chunk. It is truncated after the last complete chunk, damaged chunks before that are left out
-of the index, and index, statistics and footer are rewritten. The log of a database is merged into it. Then ``metadata.yaml`` is rewritten
-for all files. Records of mcap: https://mcap.dev/spec.
+Every file is read to its end and checked. What can be read of a damaged one is written to a new file, which takes its place; the file as it
+was is kept beside it. Then ``metadata.yaml`` is rewritten for all files. What was stepped over, and what is missing, is reported.
 """
 
 from __future__ import annotations
@@ -10,32 +9,32 @@ from __future__ import annotations
 import logging
 import os
 import re
-import struct
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from io import BytesIO, FileIO
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, Header, Metadata, MetadataIndex, Schema, Statistics
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.writer import MCAP0_MAGIC
-
-from gibson_sim.bags.mcap_file import MESSAGE, RECORD, ChunkEntry, DataSection, end_of_file, message_index
-from gibson_sim.bags.metadata import TopicRecord, bag_information, offered_qos, read_metadata, write_metadata
-from gibson_sim.bags.sqlite_file import repair_database
-from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, EmptyFileError, FileContents, Storage
+from gibson_sim.bags.mcap_recovery import finish_mcap, repair_mcap
+from gibson_sim.bags.metadata import (
+    METADATA_FILE,
+    TopicRecord,
+    bag_information,
+    listed_topics,
+    read_metadata,
+    write_metadata,
+)
+from gibson_sim.bags.sqlite_file import merge_log
+from gibson_sim.bags.sqlite_recovery import COMPANIONS, remove, repair_sqlite
+from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, EmptyFileError, FileContents, FileRepair, Storage
 from gibson_sim.errors import RecordError
 
-_FOOTER_BYTES = RECORD.size + 20 + len(MCAP0_MAGIC)
-_KNOWN = frozenset(int(opcode) for opcode in Opcode)
-# Exceptions of the parsers for damaged bytes: struct, text and checksums, absurd lengths, lz4, zstd, mcap.
-_DAMAGE = (struct.error, ValueError, KeyError, OverflowError, MemoryError, RuntimeError, zstandard.ZstdError, McapError)
+_KEPT = ".damaged"
+"""Ending of a file as it was before the repair."""
+_DRAFT = ".repairing"
+"""Ending of a file that is being written."""
+_MOST_LINES = 20
+"""Maximum number of lines of one kind in a report."""
 _log = logging.getLogger(__name__)
 
 
@@ -44,68 +43,139 @@ class Repair:
     """Result of ``repair``."""
 
     folder: Path
-    files: int
-    """Number of readable files."""
-    messages: int
-    """Number of readable messages."""
-    cut_bytes: int
-    """Number of bytes after the last complete chunk that were cut off."""
+    repairs: tuple[FileRepair, ...]
+    """What became of each readable file."""
+    lost: Mapping[str, int]
+    """Topic -> number of messages that the bag lists and that could not be read."""
+    complete: bool
+    """Whether nothing that had been written whole is missing, as far as can be known."""
+    notes: tuple[str, ...] = ()
+    """What else was done; one line each."""
     changed: bool = True
+
+    @property
+    def files(self) -> int:
+        """Number of readable files."""
+        return len(self.repairs)
+
+    @property
+    def messages(self) -> int:
+        """Number of readable messages."""
+        return sum(one.contents.count for one in self.repairs)
+
+    @property
+    def skipped(self) -> int:
+        """Size of what was stepped over: bytes of mcap files, pages of databases."""
+        return sum(end - start for one in self.repairs for start, end, _ in one.gaps)
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Topic -> number of readable messages."""
+        return _counts([one.contents for one in self.repairs])
 
     def __str__(self) -> str:
         files = "" if self.files == 1 else f" in {self.files} files"
         if not self.changed:
             return f"{self.folder} is whole, with {self.messages} messages{files}: nothing to do"
-        cut = f"; {self.cut_bytes} bytes of a broken end were cut off" if self.cut_bytes else ""
-        return f"{self.folder} can be read again: {self.messages} messages{files}{cut}"
+        skipped = ""
+        if self.skipped:
+            skipped = f"; {self.skipped} {next(one.unit for one in self.repairs if one.gaps)} were stepped over"
+        lost = f"; {sum(self.lost.values())} messages are lost" if self.lost else ""
+        return f"{self.folder} can be read again: {self.messages} messages{files}{skipped}{lost}"
 
-
-@dataclass(slots=True)
-class _Section(DataSection):
-    """The complete part of the data section of a file."""
-
-    start: int = 0
-    """Offset of the end of the records before the first chunk."""
-    last_messages: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
-    """Channel -> (log time, offset in the chunk) of the messages of the last chunk."""
-
-    @property
-    def end(self) -> int:
-        """Offset of the end of the last complete chunk."""
-        return self.chunks[-1].end if self.chunks else self.start
+    def text(self) -> str:
+        """Returns the report: what was stepped over in which file, which messages were recovered, lost, and not checked."""
+        lines = [str(self)]
+        for one in self.repairs:
+            name = one.contents.path.name
+            if one.kept:
+                lines.append(f"{name}: written anew; the file as it was is kept as {one.kept}")
+            gaps = [f"stepped over {_span(start, end, one.unit)}: {reason}" for start, end, reason in one.gaps]
+            lines += [f"  {line}" for line in (*_clipped(gaps), *_clipped(list(one.notes)))]
+        lines += self.notes
+        if self.changed:
+            lines += [f"recovered: {count:8d} {topic}" for topic, count in sorted(self.counts.items())]
+        lines += [f"lost:      {count:8d} {topic}" for topic, count in sorted(self.lost.items())]
+        unchecked = sum(one.unchecked for one in self.repairs)
+        if unchecked:
+            what = "SQLite has none" if self.repairs[0].unit == "pages" else "they were written without"
+            lines.append(f"not checked: the content of {unchecked} messages has no checksum ({what})")
+        if not self.complete and not self.lost:
+            lines.append("nothing says how many messages were in what was stepped over")
+        return "\n".join(lines)
 
 
 def repair(folder: str | Path) -> Repair:
-    """Repairs a bag whose recording was cut off. Leaves a complete bag unchanged; idempotent.
+    """Repairs a bag. Leaves a whole bag unchanged; idempotent. Files that are not whole are kept under another name.
 
     Raises:
-        RecordError: the bag does not exist, or was not written by this program.
+        RecordError: there is no bag, or nothing of it can be read, or the disk has no room for the new file.
     """
     folder = Path(folder)
     storage, paths = _storage_files(folder)
-    contents: list[FileContents] = []
+    information = read_metadata(folder)
+    known = listed_topics(information)
+    repairs: list[FileRepair] = []
+    notes: list[str] = []
     try:
         (folder / RESERVE_FILE).unlink(missing_ok=True)
         for path in paths:
             try:
-                # On a full disk, the last file makes room for the metadata as well.
-                contents.append(
-                    _repair_file(path, storage, lambda repaired: _write_metadata(folder, storage, [*contents, repaired]))
-                )
+                repairs.append(_repair_file(path, storage, known))
             except EmptyFileError as error:
                 if len(paths) == 1:
                     raise
-                _log.warning("%s: it is left out", error)
-        messages, cut = sum(c.count for c in contents), sum(c.cut_bytes for c in contents)
-        listed = _is_listed(folder, contents)
-        if not listed:
-            _write_metadata(folder, storage, contents)
-        changed = not listed or any(not c.whole for c in contents)
-        return Repair(folder, len(contents), messages, cut, changed)
+                notes.append(f"{error}; it is left out")
+        contents = [one.contents for one in repairs]
+        is_listed = _is_listed(information, contents)
+        if not is_listed:
+            if (folder / METADATA_FILE).exists():
+                notes.append(f"{METADATA_FILE}: written anew; the file as it was is kept as {_keep(folder / METADATA_FILE)}")
+            _write_metadata(folder, storage, contents, information)
+        lost = _lost(repairs, information)
+        proven = not lost and _listed_counts(information) is not None
+        complete = not lost and (proven or all(one.harmless for one in repairs))
+        changed = not is_listed or any(one.changed for one in repairs)
+        return Repair(folder, tuple(repairs), lost, complete, tuple(notes), changed)
     except OSError as error:
         raise RecordError(
-            f"{folder} cannot be repaired: {error.strerror}; make room and check the permissions, then try again"
+            f"{folder} cannot be repaired: {error.strerror}; the new files need as much room as the damaged ones: make room and check the "
+            "permissions, or repair a copy on another disk"
         ) from error
+
+
+def finish(folder: str | Path) -> FileContents:
+    """Finishes, in place, a bag whose recording ended in the middle of a write, perhaps on a full disk: there is no room for copies.
+
+    Only for bags of this process: their incomplete end, which was never whole, is cut off.
+
+    Returns:
+        What the last file holds.
+
+    Raises:
+        RecordError: a file is damaged elsewhere.
+        OSError: a file cannot be written.
+    """
+    folder = Path(folder)
+    storage, paths = _storage_files(folder)
+    contents: list[FileContents] = []
+    (folder / RESERVE_FILE).unlink(missing_ok=True)
+    for path in paths:
+        try:
+            if storage == "sqlite3":
+                contents.append(merge_log(path))
+                _write_metadata(folder, storage, contents, {})
+            else:
+                # On a full disk, the last file makes room for the metadata as well.
+                contents.append(finish_mcap(path, lambda done: _write_metadata(folder, storage, [*contents, done], {})))
+        except EmptyFileError as error:
+            if len(paths) == 1:
+                raise
+            _log.warning("%s: it is left out", error)
+    if not _is_listed(read_metadata(folder), contents):
+        _write_metadata(folder, storage, contents, {})
+    topics = tuple(topic for one in contents for topic in one.topics)
+    return FileContents(folder, contents[0].start_ns, contents[-1].end_ns, topics)
 
 
 def _storage_files(folder: Path) -> tuple[Storage, list[Path]]:
@@ -118,7 +188,9 @@ def _storage_files(folder: Path) -> tuple[Storage, list[Path]]:
     kinds = [kind for kind, paths in paths_of.items() if paths]
     if len(kinds) != 1:
         what = "files of both mcap and sqlite3" if kinds else "no mcap or db3 file"
-        raise RecordError(f"{folder} holds {what}, must be the folder of one bag; give the folder that was recorded")
+        compressed = next((path.name for s in SUFFIXES.values() for path in folder.glob(f"*{s}.zstd")), "")
+        hint = f"unpack its compressed files first: zstd -d {compressed}" if compressed else "give the folder that was recorded"
+        raise RecordError(f"{folder} holds {what}, must be the folder of one bag; {hint}")
     return kinds[0], paths_of[kinds[0]]
 
 
@@ -128,234 +200,97 @@ def _number(path: Path) -> tuple[int, str]:
     return int(match[1]) if match else 0, path.name
 
 
-def _is_listed(folder: Path, contents: list[FileContents]) -> bool:
-    """Returns whether the metadata lists exactly these files with all their messages."""
-    information = read_metadata(folder)
-    listed = information.get("relative_file_paths"), information.get("message_count")
-    return listed == ([c.path.name for c in contents], sum(c.count for c in contents))
+def _repair_file(path: Path, storage: Storage, known: Mapping[str, TopicRecord]) -> FileRepair:
+    """Repairs one file: a new one takes its place, under its name."""
+    new = path.with_name(path.name + _DRAFT)
+    done = False
+    try:
+        result = (repair_sqlite if storage == "sqlite3" else repair_mcap)(path, new, known)
+        if result.changed:
+            kept = _keep(path)
+            for ending in COMPANIONS if storage == "sqlite3" else ():
+                path.with_name(path.name + ending).unlink(missing_ok=True)
+            os.replace(new, path)
+            result = replace(result, kept=kept)
+        done = True
+        return result
+    finally:
+        if not done:
+            remove(new)
 
 
-def _write_metadata(folder: Path, storage: Storage, contents: list[FileContents]) -> None:
-    """Writes ``metadata.yaml`` for a bag of these files."""
+def _keep(path: Path) -> str:
+    """Gives a file, with what SQLite has beside it, a second name that is free; returns that name."""
+    number = 1
+    while (kept := path.with_name(path.name + _KEPT + (f".{number}" if number > 1 else ""))).exists():
+        number += 1
+    for ending in ("", *COMPANIONS[:2]):
+        source, target = path.with_name(path.name + ending), kept.with_name(kept.name + ending)
+        if not source.exists():
+            continue
+        try:
+            os.link(source, target)
+        except OSError:  # a file system without links
+            os.rename(source, target)
+    return kept.name
+
+
+def _is_listed(information: Mapping[str, Any], contents: list[FileContents]) -> bool:
+    """Returns whether the metadata lists exactly these files with all their topics and messages."""
+    files = information.get("relative_file_paths") == [c.path.name for c in contents]
+    count = information.get("message_count") == sum(c.count for c in contents)
+    counts = _counts(contents)
+    topics = {topic.name: (topic.type_name, counts[topic.name]) for c in contents for topic in c.topics}
+    listed = {topic.name: (topic.type_name, topic.count) for topic in listed_topics(information).values()}
+    return files and count and listed == topics
+
+
+def _counts(contents: list[FileContents]) -> Counter[str]:
+    counts: Counter[str] = Counter()
+    for topic in (topic for c in contents for topic in c.topics):
+        counts[topic.name] += topic.count
+    return counts
+
+
+def _listed_counts(information: Mapping[str, Any]) -> Counter[str] | None:
+    """Returns topic -> number of messages as the metadata lists them; None if it does not, or contradicts itself."""
+    counts = Counter({topic.name: topic.count for topic in listed_topics(information).values()})
+    return counts if counts and information.get("message_count") == counts.total() else None
+
+
+def _lost(repairs: list[FileRepair], information: Mapping[str, Any]) -> Counter[str]:
+    """Returns topic -> number of messages that the files or the metadata list and that were not found."""
+    found = _counts([one.contents for one in repairs])
+    listed_by_files: Counter[str] = Counter()
+    for one in repairs:
+        listed_by_files += one.listed if one.listed is not None else _counts([one.contents])
+    lost = listed_by_files - found
+    # A file that was whole, or is proven to be now, tells more than the metadata.
+    if not all(one.sure for one in repairs):
+        for topic, count in (_listed_counts(information) or Counter()).items():
+            if count > found[topic]:
+                lost[topic] = max(lost[topic], count - found[topic])
+    return lost
+
+
+def _write_metadata(folder: Path, storage: Storage, contents: list[FileContents], before: Mapping[str, Any]) -> None:
+    """Writes ``metadata.yaml`` for a bag of these files; what the user added to the metadata ``before`` is kept."""
     topics: dict[str, TopicRecord] = {}
     for topic in (topic for c in contents for topic in c.topics):
         earlier = topics.get(topic.name)
         count = topic.count + (earlier.count if earlier else 0)
         topics[topic.name] = TopicRecord(topic.name, topic.type_name, topic.qos, topic.type_hash, count)
-    write_metadata(folder, bag_information(list(topics.values()), [c.record for c in contents], storage))
+    information = bag_information(list(topics.values()), [c.record for c in contents], storage)
+    kept = {name: before[name] for name in ("custom_data", "ros_distro") if before.get(name) is not None}
+    write_metadata(folder, information | kept)
 
 
-def _repair_file(path: Path, storage: Storage, write_bag_metadata: Callable[[FileContents], None]) -> FileContents:
-    """Repairs one file and returns its content."""
-    if storage == "sqlite3":
-        return repair_database(path)
-    return _contents_if_whole(path) or _rebuild(path, write_bag_metadata)
+def _span(start: int, end: int, unit: str) -> str:
+    if unit == "pages":
+        return f"page {start}" if end == start + 1 else f"pages {start} to {end - 1}"
+    return f"{end - start} bytes at {start}"
 
 
-def _rebuild(path: Path, write_bag_metadata: Callable[[FileContents], None]) -> FileContents:
-    """Rewrites the end of an mcap file, and the metadata of the bag.
-
-    If the disk is too full even for these, chunks are dropped from the end until they fit.
-
-    Raises:
-        RecordError: the file does not begin like an mcap file.
-        OSError: the file cannot be written.
-    """
-    size = path.stat().st_size
-    with path.open("rb") as source:
-        section = _scan(source, size)
-    cut = size - section.end
-    # Unbuffered: a failed write must not be repeated by the next seek.
-    with path.open("r+b", buffering=0) as file:
-        while True:
-            recovered = _file_contents(path, section, max(cut, 0))
-            try:
-                _finish(file, section, recovered)
-                write_bag_metadata(recovered)
-                return recovered
-            except OSError as error:
-                if not section.chunks:
-                    raise
-                dropped = section.chunks.pop()
-                section.last_messages = {}
-                cut += dropped.end - dropped.index.chunk_start_offset
-                messages = sum(dropped.counts.values())
-                _log.warning("no room for the end of %s (%s): %d messages are given up", path, error.strerror, messages)
-
-
-def _file_contents(path: Path, section: DataSection, cut_bytes: int) -> FileContents:
-    start, end, counts = section.times_and_counts()
-    topics = tuple(_topic(channel, section.schemas, counts) for channel in section.channels.values())
-    return FileContents(path, start, end, topics, cut_bytes, whole=False)
-
-
-def _topic(channel: Channel, schemas: dict[int, Schema], counts: Counter[int]) -> TopicRecord:
-    qos = offered_qos(channel.metadata.get("offered_qos_profiles", ""))
-    schema = schemas.get(channel.schema_id)
-    type_hash = channel.metadata.get("topic_type_hash", "")
-    return TopicRecord(channel.topic, schema.name if schema else "", qos, type_hash, counts[channel.id])
-
-
-def _contents_if_whole(path: Path) -> FileContents | None:
-    """Returns the content according to the summary of a file; None if its end is missing or damaged."""
-    try:
-        return _contents_by_summary(path)
-    except _DAMAGE:
-        return None
-
-
-def _contents_by_summary(path: Path) -> FileContents | None:
-    """Returns the content according to the summary of a file; None if its end is missing; raises if the summary is damaged."""
-    size = path.stat().st_size
-    if size < _FOOTER_BYTES + len(MCAP0_MAGIC):
-        return None
-    section, statistics = DataSection(), None
-    with path.open("rb") as file:
-        file.seek(size - _FOOTER_BYTES)
-        end = file.read()
-        opcode, length = RECORD.unpack_from(end)
-        if not end.endswith(MCAP0_MAGIC) or (opcode, length) != (Opcode.FOOTER, 20):
-            return None
-        (position,) = struct.unpack_from("<Q", end, RECORD.size)
-        while 0 < position < size - _FOOTER_BYTES:
-            file.seek(position)
-            opcode, length = RECORD.unpack(file.read(RECORD.size))
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                _add_definition(section, opcode, file.read(length))
-            elif opcode == Opcode.STATISTICS:
-                statistics = Statistics.read(ReadDataStream(BytesIO(file.read(length))))
-            position += RECORD.size + length
-    if statistics is None:
-        return None
-    counts = Counter(statistics.channel_message_counts)
-    topics = tuple(_topic(channel, section.schemas, counts) for channel in section.channels.values())
-    return FileContents(path, statistics.message_start_time, statistics.message_end_time, topics)
-
-
-def _scan(file: BinaryIO, size: int) -> _Section:
-    """Reads the data section up to its end or to the first truncated or damaged record."""
-    section = _Section()
-    file.seek(0)
-    if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        raise RecordError(f"{file.name} is not an mcap file: nothing can be repaired")
-    while True:
-        position = file.tell()
-        head = file.read(RECORD.size)
-        if len(head) < RECORD.size:
-            break
-        opcode, length = RECORD.unpack(head)
-        if position + RECORD.size + length > size or opcode in (Opcode.DATA_END, Opcode.FOOTER):
-            break
-        if opcode not in _KNOWN:
-            _log.warning("%s is damaged at byte %d", file.name, position)
-            break
-        try:
-            _add_record(section, opcode, length, position, file)
-        except _DAMAGE as error:
-            _log.warning("%s: the record at byte %d is damaged (%s): it is left out", file.name, position, error)
-        file.seek(position + RECORD.size + length)
-    if not section.start:
-        raise EmptyFileError(f"{file.name} ends before its first record: nothing was recorded, delete it")
-    return section
-
-
-def _add_record(section: _Section, opcode: int, length: int, position: int, file: BinaryIO) -> None:
-    """Adds a record to the section."""
-    end = position + RECORD.size + length
-    if opcode == Opcode.CHUNK:
-        section.chunks.append(_read_chunk(section, file.read(length), position))
-    elif opcode == Opcode.MESSAGE_INDEX and section.chunks and position == section.chunks[-1].end:
-        chunk = section.chunks[-1]
-        (channel,) = struct.unpack("<H", file.read(2))
-        chunk.index.message_index_offsets[channel] = position
-        chunk.index.message_index_length += RECORD.size + length
-        chunk.end = end
-    elif opcode == Opcode.METADATA:
-        name = Metadata.read(ReadDataStream(BytesIO(file.read(length)))).name
-        section.metadata.append(MetadataIndex(offset=position, length=RECORD.size + length, name=name))
-        # Metadata before the first chunk is kept; metadata after the last chunk is rewritten.
-        section.start = section.start if section.chunks else end
-    elif opcode == Opcode.HEADER:
-        Header.read(ReadDataStream(BytesIO(file.read(length))))
-        section.start = end
-    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        _add_definition(section, opcode, file.read(length))
-        section.start = section.start if section.chunks else end
-    elif opcode == Opcode.MESSAGE:
-        raise RecordError(
-            f"{file.name} holds messages outside of chunks, so this program did not write it: use `ros2 bag reindex`"
-        )
-
-
-def _add_definition(section: DataSection, opcode: int, payload: bytes) -> None:
-    stream = ReadDataStream(BytesIO(payload))
-    if opcode == Opcode.SCHEMA:
-        schema = Schema.read(stream)
-        section.schemas[schema.id] = schema
-    else:
-        channel = Channel.read(stream)
-        section.channels[channel.id] = channel
-
-
-def _read_chunk(section: _Section, payload: bytes, position: int) -> ChunkEntry:
-    """Reads a complete chunk; raises if it is damaged."""
-    chunk = Chunk.read(ReadDataStream(BytesIO(payload)))
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    data = memoryview(stream.read(length))
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError(f"chunk has {len(data)} bytes, must be {chunk.uncompressed_size}")
-    messages: dict[int, list[tuple[int, int]]] = {}
-    offset = 0
-    while offset < len(data):
-        opcode, size = RECORD.unpack_from(data, offset)
-        body = offset + RECORD.size
-        if body + size > len(data):
-            raise ValueError("a record in the chunk is longer than the chunk")
-        if opcode == Opcode.MESSAGE:
-            channel, _, log_time, _ = MESSAGE.unpack_from(data, body)
-            messages.setdefault(channel, []).append((log_time, offset))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _add_definition(section, opcode, bytes(data[body : body + size]))
-        offset = body + size
-    unknown = messages.keys() - section.channels.keys()
-    if unknown:
-        raise ValueError(f"the chunk has messages of unknown channels {sorted(unknown)}")
-    index = ChunkIndex(
-        chunk_length=RECORD.size + len(payload),
-        chunk_start_offset=position,
-        compression=chunk.compression,
-        compressed_size=len(chunk.data),
-        message_end_time=chunk.message_end_time,
-        message_index_length=0,
-        message_index_offsets={},
-        message_start_time=chunk.message_start_time,
-        uncompressed_size=chunk.uncompressed_size,
-    )
-    section.last_messages = messages
-    counts = Counter({channel: len(entries) for channel, entries in messages.items()})
-    return ChunkEntry(index, counts, position + RECORD.size + len(payload))
-
-
-def _finish(file: FileIO, section: _Section, contents: FileContents) -> None:
-    """Truncates the file after its last complete chunk and writes the end of the file."""
-    file.seek(section.end)
-    file.truncate()
-    end = bytearray()
-    if section.chunks:
-        end += _missing_indices(section.chunks[-1], section.last_messages)
-    end += end_of_file(section, section.end + len(end), bag_information(contents.topics, [contents.record]))
-    rest = memoryview(end)
-    while rest:
-        rest = rest[file.write(rest) :]
-    os.fsync(file.fileno())
-
-
-def _missing_indices(chunk: ChunkEntry, messages: dict[int, list[tuple[int, int]]]) -> bytes:
-    """Returns the message indices of the last chunk that are missing in the file, and adds them to the chunk's index."""
-    added = bytearray()
-    for channel, entries in messages.items():
-        if chunk.index.message_index_offsets.get(channel, chunk.end) >= chunk.end:
-            chunk.index.message_index_offsets[channel] = chunk.end + len(added)
-            added += message_index(channel, entries)
-    chunk.index.message_index_length = chunk.end + len(added) - chunk.index.chunk_start_offset - chunk.index.chunk_length
-    return bytes(added)
+def _clipped(lines: list[str]) -> list[str]:
+    """Returns the first lines, and how many more there are."""
+    return lines if len(lines) <= _MOST_LINES else [*lines[:_MOST_LINES], f"and {len(lines) - _MOST_LINES} more"]

@@ -1,4 +1,4 @@
-"""Writes files of rosbag2's storage ``sqlite3``, schema 4, in transactions, and repairs files whose writer was killed."""
+"""Writes files of rosbag2's storage ``sqlite3``, schema 4, in transactions."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from typing import Any
 from gibson_sim.bags.folders import MIB
 from gibson_sim.bags.metadata import ROS_DISTRO, VERSION, TopicRecord, dump_information, dump_qos, offered_qos
 from gibson_sim.bags.storage import EmptyFileError, FileContents
-from gibson_sim.errors import RecordError
 
 TRANSACTION_BYTES = 2 * MIB
 """Maximum size of the messages in memory, bytes. Twice this size must fit into the emergency space: once in the log, once in the database."""
-_SCHEMA = f"""
+SCHEMA = f"""
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
 CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
 CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
@@ -30,7 +29,7 @@ CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema (schema_version, ros_distro) VALUES (4, '{ROS_DISTRO}');
 """
 _INSERT_MESSAGE = "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)"
-_INSERT_METADATA = "INSERT INTO metadata (metadata_version, metadata) VALUES (?, ?)"
+INSERT_METADATA = "INSERT INTO metadata (metadata_version, metadata) VALUES (?, ?)"
 
 
 class SqliteFile:
@@ -56,9 +55,9 @@ class SqliteFile:
             # The log of a transaction reaches the kernel with its commit; waiting for the disk would only help in a power cut.
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=OFF")
-            self._connection.executescript(_SCHEMA)
+            self._connection.executescript(SCHEMA)
         except sqlite3.Error as error:
-            raise _as_os_error(error) from error
+            raise as_os_error(error) from error
 
     @property
     def path(self) -> Path:
@@ -106,11 +105,11 @@ class SqliteFile:
 
     def finish(self, information: Mapping[str, Any]) -> None:
         """Writes the metadata, merges the log into the database and closes it."""
-        self._transact([(_INSERT_METADATA, (VERSION, dump_information(dict(information))))])
+        self._transact([(INSERT_METADATA, (VERSION, dump_information(dict(information))))])
         try:
             self._open().execute("PRAGMA journal_mode=DELETE")
         except sqlite3.Error as error:
-            raise _as_os_error(error) from error
+            raise as_os_error(error) from error
         self._close()
 
     def rescue(self) -> None:
@@ -133,7 +132,7 @@ class SqliteFile:
             except sqlite3.Error as error:
                 if connection.in_transaction:
                     connection.execute("ROLLBACK")
-                failure = _as_os_error(error)
+                failure = as_os_error(error)
                 if failure.errno != errno.ENOSPC or self._full:
                     raise failure from error
                 self._full = True
@@ -150,46 +149,51 @@ class SqliteFile:
             connection.close()
 
 
-def repair_database(path: Path) -> FileContents:
+def merge_log(path: Path) -> FileContents:
     """Merges the write-ahead log of a database into it, so that a reader does not need the log; returns its readable content.
 
     Raises:
+        EmptyFileError: nothing was recorded.
         RecordError: the file is not the database of a bag.
+        sqlite3.DatabaseError: it is damaged.
         OSError: the file cannot be written.
     """
-    logs = [path.with_name(path.name + ending) for ending in ("-wal", "-journal")]
-    broken = any(log.is_file() for log in logs)
     try:
         with closing(sqlite3.connect(path, isolation_level=None)) as connection:
             connection.execute("PRAGMA synchronous=FULL")
             connection.execute("PRAGMA journal_mode=DELETE")
-            contents = _contents(path, connection, whole=not broken)
-        return contents
-    except sqlite3.DatabaseError as error:
+            return contents_of(path, connection)
+    except sqlite3.OperationalError as error:
         if "no such table" in str(error):
             raise EmptyFileError(f"{path} ends before its first record: nothing was recorded, delete it") from error
-        if isinstance(error, sqlite3.OperationalError):
-            raise _as_os_error(error) from error
-        raise RecordError(f"{path} is not a bag ({error}): nothing can be repaired") from error
+        raise as_os_error(error) from error
 
 
-def _contents(path: Path, connection: sqlite3.Connection, *, whole: bool) -> FileContents:
-    rows = connection.execute("SELECT id, name, type, offered_qos_profiles, type_description_hash FROM topics ORDER BY id")
+def contents_of(path: Path, connection: sqlite3.Connection) -> FileContents:
+    """Returns the topics and the number of messages of an open database.
+
+    Raises:
+        sqlite3.DatabaseError: it is damaged, or not that of a bag.
+    """
+    columns = {name for _, name, *_ in connection.execute("PRAGMA table_info(topics)")}
+    # Databases of older releases do not have all columns.
+    named = [
+        "id",
+        "name",
+        "type",
+        *("''" if name not in columns else name for name in ("offered_qos_profiles", "type_description_hash")),
+    ]
+    rows = connection.execute(f"SELECT {', '.join(named)} FROM topics ORDER BY id").fetchall()
     counts = Counter(dict(connection.execute("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id").fetchall()))
     start, end = connection.execute("SELECT MIN(timestamp), MAX(timestamp) FROM messages").fetchone()
-    # SQLite stores values of any type in any column.
-    if not all(value is None or isinstance(value, int) for value in (start, end)):
-        raise RecordError(
-            f"{path} is not a bag (its timestamps are {start!r:.40} to {end!r:.40}, must be integers): nothing can be repaired"
-        )
     topics = tuple(
         TopicRecord(name, type_name, offered_qos(qos), type_hash, counts[number])
-        for number, name, type_name, qos, type_hash in rows.fetchall()
+        for number, name, type_name, qos, type_hash in rows
     )
-    return FileContents(path, start or 0, end or 0, topics, whole=whole)
+    return FileContents(path, start or 0, end or 0, topics)
 
 
-def _as_os_error(error: sqlite3.Error) -> OSError:
+def as_os_error(error: sqlite3.Error) -> OSError:
     """Converts an error of SQLite by its text; `sqlite_errorcode` would need Python 3.11."""
     text = str(error)
     number = errno.ENOSPC if "full" in text else errno.EACCES if "unable to open" in text or "readonly" in text else errno.EIO

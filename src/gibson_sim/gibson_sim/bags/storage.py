@@ -32,10 +32,6 @@ class FileContents:
     """Log time of the last message, nanoseconds; 0 for an empty file."""
     topics: tuple[TopicRecord, ...]
     """Topics, with the number of messages in this file."""
-    cut_bytes: int = 0
-    """Number of bytes of a damaged end that were cut off."""
-    whole: bool = True
-    """Whether the file was already complete and was not changed."""
 
     @property
     def count(self) -> int:
@@ -46,6 +42,32 @@ class FileContents:
     def record(self) -> FileRecord:
         """The file as the metadata lists it."""
         return FileRecord(self.path.name, self.start_ns, self.end_ns, self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class FileRepair:
+    """What was found in one storage file, and what became of it."""
+
+    contents: FileContents
+    """What can be read after the repair."""
+    unit: str
+    """Unit of the offsets of the gaps: bytes, pages."""
+    gaps: tuple[tuple[int, int, str], ...]
+    """(first, one after the last, reason) of what was stepped over, in ``unit``."""
+    notes: tuple[str, ...]
+    """What else was wrong and is right now, or is left out; one line each."""
+    listed: Counter[str] | None
+    """Topic -> number of messages that the file says it has; None if it does not."""
+    harmless: bool
+    """Whether nothing that had been written whole seems to be missing."""
+    sure: bool
+    """Whether it is proven that nothing is missing."""
+    unchecked: int
+    """Number of messages whose bytes no checksum confirms."""
+    changed: bool
+    """Whether a new file was written; the file was whole otherwise."""
+    kept: str = ""
+    """Name of the file as it was before."""
 
 
 @dataclass(slots=True)
@@ -61,9 +83,8 @@ class Tally:
 
     def add(self, topic: str, log_time_ns: int) -> None:
         """Counts one message."""
-        if not self.count:
-            self.start_ns = log_time_ns
-        self.end_ns = log_time_ns
+        self.start_ns = min(self.start_ns, log_time_ns) if self.count else log_time_ns
+        self.end_ns = max(self.end_ns, log_time_ns)
         self.counts[topic] += 1
         self.count += 1
 

@@ -20,7 +20,7 @@ from gibson_sim.bags.definitions import MessageDefinitions, canonical_type
 from gibson_sim.bags.folders import EMERGENCY_BYTES, MIB, DiskFullError, check_room
 from gibson_sim.bags.mcap_file import COMPRESSIONS, Compression, McapFile
 from gibson_sim.bags.metadata import FileRecord, Profile, TopicQos, TopicRecord, bag_information, write_metadata
-from gibson_sim.bags.recovery import Repair, repair
+from gibson_sim.bags.recovery import Repair, finish, repair
 from gibson_sim.bags.sqlite_file import SqliteFile
 from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, Storage, StorageFile, Tally
 from gibson_sim.errors import RecordError
@@ -224,7 +224,10 @@ class BagWriter:
             else:
                 self._file.rescue()
                 self._emergency.unlink(missing_ok=True)
-                _log.warning("recording was interrupted in the middle of a write: %s", repair(self.folder))
+                count = finish(self.folder).count
+                _log.warning(
+                    "recording was interrupted in the middle of a write: %s was closed and holds %d messages", self.folder, count
+                )
             self._finished = True
         except OSError as error:
             self._rescue(error)
@@ -313,16 +316,16 @@ class BagWriter:
         try:
             self._file.rescue()
             self._emergency.unlink(missing_ok=True)
-            result = repair(self.folder)
+            count = finish(self.folder).count
         except (OSError, RecordError) as second:
             raise RecordError(
                 f"{self._file.path} could not be finished ({error.strerror}; {second}): make room, "
                 f"then run `gibson-sim bag repair {self.folder}`"
             ) from error
-        _log.warning("%s: %s", error.strerror, result)
+        _log.warning("%s: %s was closed", error.strerror, self.folder)
         kind = DiskFullError if error.errno in FULL else RecordError
         raise kind(
-            f"the bag cannot grow ({error.strerror}): {self.folder} was closed and holds {result.messages} messages, "
+            f"the bag cannot grow ({error.strerror}): {self.folder} was closed and holds {count} messages, "
             "all readable; make room and record into a new folder"
         ) from error
 

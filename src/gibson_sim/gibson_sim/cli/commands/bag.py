@@ -40,7 +40,11 @@ def add_parser(subparsers: Any) -> None:
     playing.set_defaults(run=_play)
     plot = actions.add_parser("plot", help="draw path, velocities, contacts and rates of a bag; needs matplotlib")
     plot.set_defaults(run=_plot)
-    repairing = actions.add_parser("repair", help="repair a bag that a crash or a full disk truncated")
+    repairing = actions.add_parser(
+        "repair",
+        help="check all of a bag and make it readable after a crash, a full disk or changed bytes; keeps damaged files under another name; exit "
+        "code 1 if something is lost",
+    )
     repairing.set_defaults(run=_repair)
     video = actions.add_parser("video", help="write a video and a contact sheet of RGB and depth")
     video.set_defaults(run=_video)
@@ -183,8 +187,9 @@ def _plot(args: argparse.Namespace) -> int:
 
 
 def _repair(args: argparse.Namespace) -> int:
-    print(repair(args.bag))
-    return 0
+    result = repair(args.bag)
+    print(result.text())
+    return 0 if result.complete else 1
 
 
 def _video(args: argparse.Namespace) -> int:
