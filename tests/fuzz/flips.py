@@ -23,9 +23,9 @@ from rosbags.highlevel import AnyReader
 
 from fuzz.grammar import Mutator
 from fuzz.trial import Trial
-from gibson_sim.bags.mcap_scan import scan
 from gibson_sim.bags.metadata import METADATA_FILE
-from gibson_sim.bags.recovery import Repair, repair
+from gibson_sim.bags.repairing.bag import Repair, repair
+from gibson_sim.bags.repairing.mcap_scan import scan
 from gibson_sim.bags.writer import BagWriter
 
 STRING = "std_msgs/msg/String"
@@ -257,7 +257,7 @@ def _hit_in_mcap(path: Path, byte: int) -> list[Message]:
 
 
 def _hit_in_database(path: Path, byte: int) -> list[Message]:
-    from gibson_sim.bags.sqlite_pages import DatabasePages, page_layouts
+    from gibson_sim.bags.repairing.sqlite_pages import DatabasePages, page_layouts
 
     base = path.with_name(path.name.removesuffix("-wal"))
     size, reserved = next(iter(page_layouts(base)))

@@ -29,7 +29,7 @@ from gibson_sim.bags.metadata import METADATA_FILE, TopicQos, read_metadata
 from gibson_sim.bags.plots.load import load_run
 from gibson_sim.bags.plots.plot import plots_png
 from gibson_sim.bags.reader import BagReader, image_to_array
-from gibson_sim.bags.recovery import repair
+from gibson_sim.bags.repairing.bag import repair
 from gibson_sim.bags.replaying import read_facts, read_run
 from gibson_sim.bags.video import write_contact_sheet, write_video
 from gibson_sim.bags.writer import BagWriter

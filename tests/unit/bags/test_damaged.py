@@ -14,7 +14,7 @@ import pytest
 from gibson_sim.bags.check import check_bag
 from gibson_sim.bags.export.read import find_cameras
 from gibson_sim.bags.reader import BagReader
-from gibson_sim.bags.recovery import repair
+from gibson_sim.bags.repairing.bag import repair
 from gibson_sim.bags.writer import BagWriter
 from gibson_sim.errors import RecordError
 

@@ -10,7 +10,7 @@ import pytest
 
 from fuzz.flips import KINDS, faults, flip
 from gibson_sim.bags.metadata import METADATA_FILE
-from gibson_sim.bags.recovery import repair
+from gibson_sim.bags.repairing.bag import repair
 
 FLIPS = 18
 """Of each kind; 200 in all."""

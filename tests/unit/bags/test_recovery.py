@@ -298,7 +298,7 @@ def test_no_room_for_the_new_file_leaves_the_bag_as_it_is(bag: Path, monkeypatch
     def full(*_: Any) -> int:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gibson_sim.bags.mcap_recovery._write_all", full)
+    monkeypatch.setattr("gibson_sim.bags.repairing.mcap._write_all", full)
     with pytest.raises(RecordError, match=r"No space left on device; the new files need as much room"):
         repair(bag)
     assert sorted(p.name for p in bag.iterdir()) == ["bag_0.mcap", "metadata.yaml"]

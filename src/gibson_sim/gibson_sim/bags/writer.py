@@ -20,7 +20,7 @@ from gibson_sim.bags.definitions import MessageDefinitions, canonical_type
 from gibson_sim.bags.folders import EMERGENCY_BYTES, MIB, DiskFullError, check_room
 from gibson_sim.bags.mcap_file import COMPRESSIONS, Compression, McapFile
 from gibson_sim.bags.metadata import FileRecord, Profile, TopicQos, TopicRecord, bag_information, write_metadata
-from gibson_sim.bags.recovery import Repair, finish, repair
+from gibson_sim.bags.repairing.bag import Repair, finish, repair
 from gibson_sim.bags.sqlite_file import SqliteFile
 from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, Storage, StorageFile, Tally
 from gibson_sim.errors import RecordError

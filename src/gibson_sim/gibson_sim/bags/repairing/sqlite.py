@@ -25,8 +25,8 @@ from gibson_sim.bags.metadata import (
     listed_topics,
     parse_information,
 )
+from gibson_sim.bags.repairing.sqlite_pages import DatabasePages, PageScan, Row, Value, page_layouts
 from gibson_sim.bags.sqlite_file import INSERT_METADATA, SCHEMA, as_os_error, contents_of
-from gibson_sim.bags.sqlite_pages import DatabasePages, PageScan, Row, Value, page_layouts
 from gibson_sim.bags.storage import EmptyFileError, FileContents, FileRepair
 from gibson_sim.errors import RecordError
 
@@ -53,12 +53,12 @@ class _Tables:
     """Topics by name, as the metadata in the database lists them."""
 
 
-def repair_sqlite(path: Path, new: Path, known: Mapping[str, TopicRecord]) -> FileRepair:
+def repair_sqlite(path: Path, draft: Path, known: Mapping[str, TopicRecord]) -> FileRepair:
     """Reads a database to its end, and writes what can be read to a new one unless it is whole.
 
     Args:
         path: the file; never changed.
-        new: the file to write.
+        draft: the file to write.
         known: topics by name, as the metadata of the bag lists them.
 
     Raises:
@@ -69,13 +69,13 @@ def repair_sqlite(path: Path, new: Path, known: Mapping[str, TopicRecord]) -> Fi
     broken_off = any(path.with_name(path.name + ending).is_file() for ending in COMPANIONS[:2])
     pages = _pages(path)
     try:
-        contents, complaints = _copied(path, new, known)
+        contents, complaints = _copied(path, draft, known)
         if contents is not None and not complaints and pages.log_is_whole:
             if not broken_off:
-                remove(new)
+                remove(draft)
             return FileRepair(contents, "pages", (), tuple(pages.notes), None, True, True, contents.count, changed=broken_off)
-        remove(new)
-        return _salvage(path, new, pages, complaints, known)
+        remove(draft)
+        return _salvage(path, draft, pages, complaints, known)
     except sqlite3.Error as error:
         raise as_os_error(error) from error
     finally:
@@ -88,15 +88,15 @@ def remove(path: Path) -> None:
         path.with_name(path.name + ending).unlink(missing_ok=True)
 
 
-def _copied(path: Path, new: Path, known: Mapping[str, TopicRecord]) -> tuple[FileContents | None, list[str]]:
+def _copied(path: Path, draft: Path, known: Mapping[str, TopicRecord]) -> tuple[FileContents | None, list[str]]:
     """Copies a database with its log and lets SQLite merge and check the copy; returns what it holds, and what is wrong with it."""
-    remove(new)
+    remove(draft)
     for ending in ("", *COMPANIONS[:2]):
         source = path.with_name(path.name + ending)
         if source.is_file():
-            shutil.copyfile(source, new.with_name(new.name + ending))
+            shutil.copyfile(source, draft.with_name(draft.name + ending))
     try:
-        with closing(sqlite3.connect(new, isolation_level=None)) as connection:
+        with closing(sqlite3.connect(draft, isolation_level=None)) as connection:
             connection.execute("PRAGMA synchronous=FULL")
             connection.execute("PRAGMA journal_mode=DELETE")
             complaints = [str(row[0]) for row in connection.execute(f"PRAGMA integrity_check({_MOST_NOTES})") if row[0] != "ok"]
@@ -146,7 +146,7 @@ def _pages(path: Path) -> DatabasePages:
 
 
 def _salvage(
-    path: Path, new: Path, pages: DatabasePages, complaints: list[str], known: Mapping[str, TopicRecord]
+    path: Path, draft: Path, pages: DatabasePages, complaints: list[str], known: Mapping[str, TopicRecord]
 ) -> FileRepair:  # fmt: skip
     """Writes all rows that can be read page by page to a new database."""
     found = pages.scan()
@@ -161,7 +161,7 @@ def _salvage(
     agreed = _agreed(known, tables.listed) if known and tables.listed else dict(known or tables.listed)
     notes += _name_topics(pages, tables, agreed)
     notes += _settle_types(tables, agreed)
-    written, left_out = _write(new, pages, tables)
+    written, left_out = _write(draft, pages, tables)
     notes += [
         f"{count} messages of topic number {number} are left out: nothing says which topic it is"
         for number, count in left_out.items()
@@ -169,7 +169,7 @@ def _salvage(
     missing = _missing(tables.messages)
     if missing:
         notes.append(f"messages that are missing, by their numbers: {missing}")
-    with closing(sqlite3.connect(new, isolation_level=None)) as connection:
+    with closing(sqlite3.connect(draft, isolation_level=None)) as connection:
         contents = contents_of(path, connection)
         information = bag_information(contents.topics, [contents.record], "sqlite3")
         connection.execute(INSERT_METADATA, (VERSION, dump_information(information)))
@@ -279,11 +279,11 @@ def _complaint_about_topics(connection: sqlite3.Connection) -> str:
     return ""
 
 
-def _write(new: Path, pages: DatabasePages, tables: _Tables) -> tuple[int, Counter[int]]:
+def _write(draft: Path, pages: DatabasePages, tables: _Tables) -> tuple[int, Counter[int]]:
     """Writes the rows to a new database; returns how many messages, and how many of each unknown topic are left out."""
     left_out: Counter[int] = Counter()
     written = 0
-    with closing(sqlite3.connect(new, isolation_level=None)) as connection:
+    with closing(sqlite3.connect(draft, isolation_level=None)) as connection:
         connection.execute("PRAGMA journal_mode=OFF")
         connection.execute("PRAGMA synchronous=FULL")
         connection.executescript(SCHEMA)

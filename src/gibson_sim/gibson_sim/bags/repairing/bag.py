@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.bags.mcap_recovery import finish_mcap, repair_mcap
 from gibson_sim.bags.metadata import (
     METADATA_FILE,
     TopicRecord,
@@ -24,8 +23,9 @@ from gibson_sim.bags.metadata import (
     read_metadata,
     write_metadata,
 )
+from gibson_sim.bags.repairing.mcap import finish_mcap, repair_mcap
+from gibson_sim.bags.repairing.sqlite import COMPANIONS, remove, repair_sqlite
 from gibson_sim.bags.sqlite_file import merge_log
-from gibson_sim.bags.sqlite_recovery import COMPANIONS, remove, repair_sqlite
 from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, EmptyFileError, FileContents, FileRepair, Storage
 from gibson_sim.errors import RecordError
 

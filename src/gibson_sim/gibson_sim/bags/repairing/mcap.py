@@ -20,8 +20,8 @@ from mcap.writer import MCAP0_MAGIC
 
 from gibson_sim.bags.definitions import MessageDefinitions, settled
 from gibson_sim.bags.mcap_file import CHUNK_TIMES, MESSAGE, RECORD, ChunkEntry, DataSection, end_of_file, message_index
-from gibson_sim.bags.mcap_scan import DAMAGE, UNFINISHED, FoundChunk, Scan, records, scan, unpacked
 from gibson_sim.bags.metadata import TopicRecord, bag_information, damaged_qos, dump_qos, is_qos, offered_qos
+from gibson_sim.bags.repairing.mcap_scan import DAMAGE, UNFINISHED, FoundChunk, Scan, records, scan, unpacked
 from gibson_sim.bags.storage import EmptyFileError, FileContents, FileRepair
 from gibson_sim.errors import RecordError
 
@@ -30,12 +30,12 @@ _BLOCK = 4 * 2**20
 _log = logging.getLogger(__name__)
 
 
-def repair_mcap(path: Path, new: Path, known: Mapping[str, TopicRecord]) -> FileRepair:
+def repair_mcap(path: Path, draft: Path, known: Mapping[str, TopicRecord]) -> FileRepair:
     """Reads a file to its end, and writes what can be read to a new one unless the file is whole.
 
     Args:
         path: the file; never changed.
-        new: the file to write.
+        draft: the file to write.
         known: topics by name, as the metadata of the bag lists them.
 
     Raises:
@@ -59,7 +59,7 @@ def repair_mcap(path: Path, new: Path, known: Mapping[str, TopicRecord]) -> File
         for number, count in found.listed.items():
             listed[names.get(number, f"channel {number}")] += count
     if not found.is_whole or notes:
-        with path.open("rb") as source, new.open("wb", buffering=0) as file:
+        with path.open("rb") as source, draft.open("wb", buffering=0) as file:
             contents = _write(found, section, source, file)
     else:
         contents = _contents(path, section, counts, found.chunks)
