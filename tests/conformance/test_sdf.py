@@ -871,3 +871,49 @@ def test_parts_of_materials_without_a_counterpart_are_named(tmp_path: Path, cont
 def test_elements_that_sdf_does_not_have_are_named(tmp_path: Path) -> None:
     got = body(tmp_path, f'<link name="l">{VISUAL}<colour>red</colour></link>').model
     assert warned(got.warnings, "<colour> in <link>: unknown in SDF")
+
+
+@rule(FORMAT, "elements with a prefix", "done", "extensions of others, skipped; the prefix need not be declared")
+def test_prefixes_need_not_be_declared(tmp_path: Path) -> None:
+    scene = world(
+        tmp_path,
+        f'<!-- <a:b/> --><model name="m"><static>1</static><link name="l" my:tag="1">{VISUAL}<my:mass>1</my:mass></link></model>',
+    )
+    assert len(scene.visuals) == 1
+    assert scene.warnings == ()
+
+
+@rule(
+    FORMAT, "frame[attached_to], model[canonical_link]", "refused", "names that lead to no link, even if nothing depends on them"
+)
+@pytest.mark.parametrize(
+    ("content", "attributes", "words"),
+    [
+        ('<frame name="f" attached_to="gone"/>', "", "'gone'"),
+        ('<frame name="f" attached_to="g"/><frame name="g" attached_to="f"/>', "", "leads to no link"),
+        ("", ' canonical_link="gone"', "canonical link 'gone' does not exist"),
+        ('<frame name="f"><pose relative_to="gone"/></frame>', "", "'gone'"),
+    ],
+)
+def test_frames_that_mean_nothing_are_named(tmp_path: Path, content: str, attributes: str, words: str) -> None:
+    got = body(tmp_path, f'<link name="l">{VISUAL}</link>{content}', attributes=attributes).model
+    assert warned(got.warnings, words)
+
+
+@rule(FORMAT, "numbers of worlds and lights", "refused", "values that are no finite numbers are named, and the default is used")
+@pytest.mark.parametrize(
+    "content",
+    [
+        "<gravity>0 0 down</gravity>", "<scene><ambient>bright</ambient></scene>", "<scene><background>1 2</background></scene>",
+        '<light name="x" type="point"><diffuse>1 1 1 1</diffuse><attenuation><range>nan</range></attenuation></light>',
+        '<light name="x" type="directional"><diffuse>1 1 1 1</diffuse><direction>0 0</direction></light>',
+    ],
+)  # fmt: skip
+def test_numbers_that_make_no_sense_are_named(tmp_path: Path, content: str) -> None:
+    assert warned(world(tmp_path, content + SIMPLE).warnings, "must be", "the default is used")
+
+
+@rule(FORMAT, "names of joints", "refused", "two joints of one model with the same name")
+def test_two_joints_of_one_name_are_named(tmp_path: Path) -> None:
+    got = body(tmp_path, LINKS + _joint("j", "fixed", "a", "b") + _joint("j", "fixed", "b", "c")).model
+    assert warned(got.warnings, "two joints are named 'j'")

@@ -27,13 +27,13 @@ from gibson_sim.formats.load_mesh import MESH_SUFFIXES, MeshLoader
 from gibson_sim.formats.textured_shapes import with_textures
 from gibson_sim.formats.uris import UriResolver, ancestors
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, is_folder, parse_xml, read_file, without_default_namespace
+from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, is_folder, read_file
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh_body import mesh_body
 from gibson_sim.scenes.sdf.body import MAX_LINKS, SdfBodyReader
-from gibson_sim.scenes.sdf.elements import sdf_files, sdf_version
+from gibson_sim.scenes.sdf.elements import parse_sdf, sdf_files, sdf_version
 from gibson_sim.scenes.sdf.model import SdfModels
 from gibson_sim.scenes.sdf.scopes import WORLD
 from gibson_sim.scenes.sources import MAX_BYTES, TEXT_FOLDER, check_file, check_inside, path_of, without_text_folder
@@ -222,7 +222,7 @@ def _body_from_xml(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is not XML; give a URDF (<robot>) or an SDF model (<sdf>)")
     try:
-        top = without_default_namespace(parse_xml(data))
+        top = parse_sdf(data)
     except TextError as e:
         if is_xacro(data):
             raise _xacro_error(path) from e
@@ -475,7 +475,7 @@ def _xacro_error(path: Path) -> SpawnError:
 def _first_name(data: bytes) -> str:
     """Returns the name of a URDF or of the first model of an SDF, "" if there is none."""
     try:
-        top = parse_xml(data)
+        top = parse_sdf(data)
     except TextError:
         return ""
     element = top if top.tag == "robot" else top.find("model")

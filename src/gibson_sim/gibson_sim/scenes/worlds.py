@@ -13,10 +13,11 @@ from gibson_sim.errors import MeshError, SceneError, SceneNotFoundError, TextErr
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.formats.splats import load_splats
 from gibson_sim.quoting import clipped, quoted
-from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, parse_xml, yaml_texts
+from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, yaml_texts
 from gibson_sim.resources import find_scene, known_scenes
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.load import DESCRIPTION, description_file, finish, is_sdf_world, read_scene, reader_and_root
+from gibson_sim.scenes.sdf.elements import parse_sdf
 from gibson_sim.scenes.sdf.world import place_world
 from gibson_sim.scenes.sources import MAX_BYTES, TEXT_FOLDER, Search, check_file, path_of, walk, without_text_folder
 from gibson_sim.scenes.spec import SceneSpec
@@ -209,7 +210,7 @@ def _read_text(text: str) -> SceneBuilder:
         reason = f"has {len(data)} bytes, must be at most {MAX_TEXT_BYTES}"
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: {reason}")
     try:
-        root = parse_xml(data)
+        root = parse_sdf(data)
     except TextError as e:
         raise WorldError(WorldFailure.RESOURCE_PARSE_ERROR, f"{_TEXT}: {e}").with_public(str(e)) from e
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None

@@ -271,6 +271,11 @@ class _Tree:
             name = prefix + name_of(element)
             parent, child = (self._resolve_end(element, scope, tag) for tag in ("parent", "child"))
             axis = read_axis(element, name, self.builder)
+            if any(joint.name == name for joint in self.joints):
+                self.builder.warn(
+                    f"{self.where}: two joints are named {quoted(name)}; the second is left out", OmissionKind.INVALID
+                )
+                continue
             if axis.mimic is not None:
                 axis = replace(axis, mimic=replace(axis.mimic, leader=prefix + axis.mimic.leader.replace("::", _SCOPE)))
             if not parent or not child:

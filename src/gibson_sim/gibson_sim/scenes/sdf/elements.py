@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,12 +15,19 @@ from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.errors import SceneError, TextError
 from gibson_sim.geometry.transforms import matrix_from_pose, matrix_from_quat, pose_from_xyz_rpy
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import is_file, parse_xml, read_file
+from gibson_sim.reading import is_file, parse_xml, read_file, without_default_namespace
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.types import Vec3
 
 Element = ElementTree.Element
 F64 = NDArray[np.float64]
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+_START_TAG = re.compile(rb"<[A-Za-z_][\w.-]*")
+"""Beginning of the outermost element."""
+_PREFIX = re.compile(rb"[<\s]/?([A-Za-z_][\w.-]*):[A-Za-z_]")
+_DECLARED = re.compile(rb"xmlns:([A-Za-z_][\w.-]*)\s*=")
+_MAX_PREFIXES = 100
+"""Maximum number of prefixes that are declared."""
 Warn = Callable[[str, OmissionKind], None]
 """Receives a warning and its kind."""
 
@@ -31,9 +39,29 @@ def read_sdf(builder: SceneBuilder, path: Path) -> Element:
         SceneError: the file cannot be read, or is not XML.
     """
     try:
-        return parse_xml(builder.read_bytes(path))
+        return parse_sdf(builder.read_bytes(path))
     except TextError as e:
         raise SceneError(f"{path}: {e}").with_public(e.public) from e
+
+
+def parse_sdf(text: bytes) -> Element:
+    """Returns the outermost element of an XML text, whose prefixes, such as that of <gz:type>, need not be declared, as in Gazebo.
+
+    Raises:
+        TextError: as ``parse_xml``.
+    """
+    try:
+        return without_default_namespace(parse_xml(text))
+    except TextError as error:
+        if "unbound prefix" not in str(error):
+            raise
+        start = _START_TAG.search(_COMMENT.sub(lambda found: b" " * len(found[0]), text))
+        if start is None:
+            raise
+        declared = set(_DECLARED.findall(text))
+        prefixes = sorted({prefix for prefix in _PREFIX.findall(text) if prefix not in declared | {b"xml", b"xmlns"}})
+        names = b"".join(b' xmlns:%s="urn:%s"' % (prefix, prefix) for prefix in prefixes[:_MAX_PREFIXES])
+        return without_default_namespace(parse_xml(text[: start.end()] + names + text[start.end() :]))
 
 
 def sdf_files(folder: Path) -> list[Path]:

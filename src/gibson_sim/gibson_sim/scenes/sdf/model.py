@@ -80,6 +80,7 @@ class SdfModels:
         files = () if file is None else (Path(os.path.realpath(file)),)
         scope = Scope(element, name, base, version, self.builder.warn, files, is_static=is_true(element.findtext("static")))
         self._fill(scope, 0)
+        scope.check()
         return scope
 
     def scope_of_file(self, file: Path, name: str) -> Scope | None:

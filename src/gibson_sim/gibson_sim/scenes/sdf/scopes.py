@@ -106,6 +106,28 @@ class Scope:
         if _RANKS.index(frame.element.tag) < _RANKS.index(known.element.tag):
             self.frames[name] = frame
 
+    def check(self) -> None:
+        """Warns about all references of this scope and of the nested ones that mean nothing, even if nothing depends on them."""
+        for child, frame in self.own.items():
+            self.T_of(frame)
+            if (
+                child.tag == "frame"
+                and self.element.tag == "model"
+                and self.link_of(name_of(child)) is None
+                and not self.is_static
+            ):
+                target = child.get("attached_to", "").strip() or MODEL
+                self.warn(
+                    f"{self.where}: frame {quoted(name_of(child))} is attached to {quoted(target)}, which leads to no link",
+                    OmissionKind.INVALID,
+                )
+        if self.element.tag == "model" and self.element.get("canonical_link", "").strip() and self.canonical_link() is None:
+            name = self.element.get("canonical_link", "").strip()
+            self.warn(f"{self.where}: canonical link {quoted(name)} does not exist", OmissionKind.INVALID)
+        for nested in self.nested.values():
+            if nested.inner is not None:
+                nested.inner.check()
+
     # Poses
 
     def pose(self, name: str) -> F64:

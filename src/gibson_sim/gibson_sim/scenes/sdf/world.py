@@ -14,7 +14,7 @@ from gibson_sim.errors import SceneError
 from gibson_sim.formats.uris import UriResolver
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf.elements import F64, Element, is_true, numbers, read_sdf, sdf_version, text_of
+from gibson_sim.scenes.sdf.elements import F64, Element, is_true, name_of, numbers, read_sdf, sdf_version, text_of
 from gibson_sim.scenes.sdf.model import SdfModels
 from gibson_sim.scenes.sdf.scopes import Scope
 from gibson_sim.scenes.spec import LightSpec, PointLight
@@ -24,6 +24,11 @@ _SUN = 0.7
 """Strength of a directional light with white diffuse colour; below 1, since ambient and specular light are added."""
 _LAMP = 0.25
 """Strength of a point or spot light with white diffuse colour; low, since without shadows it also lights adjacent rooms."""
+_LIGHT_NUMBERS = (
+    "intensity", "attenuation/range", "attenuation/constant", "attenuation/linear", "attenuation/quadratic", "spot/inner_angle",
+    "spot/outer_angle",
+)  # fmt: skip
+"""Paths of the numbers of a light."""
 _MAX_NAMES = 4
 """Maximum number of models that one warning names."""
 _MIN_AMBIENT = 0.2
@@ -58,7 +63,7 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
     if len(root.findall("world")) > 1:
         text = f"{path}: holds several worlds; the first, {quoted(world.get('name', ''))}, is used"
         builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
-    gravity = numbers(world.findtext("gravity"), (3,)) or numbers(world.findtext("physics/gravity"), (3,))
+    gravity = _vector(builder, world, "gravity", (3,)) or _vector(builder, world, "physics/gravity", (3,))
     if gravity is not None:
         builder.gravity = (gravity[0], gravity[1], gravity[2])
     models = SdfModels(builder, UriResolver(builder.root, path.parent))
@@ -75,7 +80,25 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
     _name_moving(builder, scope)
     lights = [(light, scope.placed(light)) for light in world.iterfind("light")]
     lights += [(light, scope.placed(light, pose)) for light, pose in scope.lights] + models.lights
+    for light, _ in lights:
+        for tag, counts in (("diffuse", (3, 4)), ("direction", (3,)), *((tag, (1,)) for tag in _LIGHT_NUMBERS)):
+            _vector(builder, light, tag, counts)
+    for tag in ("scene/ambient", "scene/background"):
+        _vector(builder, world, tag, (3, 4))
     builder.light = _light(world, lights, builder.sdf_lamps)
+
+
+def _vector(builder: SceneBuilder, element: Element, path: str, counts: tuple[int, ...]) -> list[float] | None:
+    """Returns the numbers in a descendant, None if it is not given or, with a warning, not as many finite numbers as one of ``counts``."""
+    text = text_of(element, path)
+    values = numbers(text, counts)
+    if text and values is None:
+        tag, count = path.rpartition("/")[2], " or ".join(map(str, counts))
+        where = f"{element.tag} {name_of(element)}"
+        builder.warn(
+            f"{where}: <{tag}> is {quoted(text)}, must be {count} finite numbers; the default is used", OmissionKind.INVALID
+        )
+    return values
 
 
 def _name_moving(builder: SceneBuilder, scope: Scope) -> None:
