@@ -247,7 +247,7 @@ class SceneBuilder:
         pose = pose_from_matrix(matrix)
         self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose, friction))
 
-    def add_simplified_collision(self, name: str, shape: Shape, matrix: F64) -> None:
+    def add_simplified_collision(self, name: str, shape: Shape, matrix: F64, friction: float = 1.0) -> None:
         """Adds the simplified collision shapes of a scan at T_world_shape, under one name: boxes for its floors, few triangles for the rest.
 
         Raises:
@@ -259,7 +259,7 @@ class SceneBuilder:
             if simple.kind == "mesh":
                 # The mesh lies in the user's cache, which is trusted.
                 self._add_roots(Path(simple.mesh).parent)
-            self.collisions.append(CollisionSpec(unique, simple, pose))
+            self.collisions.append(CollisionSpec(unique, simple, pose, friction))
 
     def finish(self) -> SceneSpec:
         """Returns the scene.

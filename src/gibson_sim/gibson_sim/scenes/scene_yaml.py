@@ -36,6 +36,7 @@ _SCENE_KEYS = (
     "description",
     "gravity",
     "ground_z",
+    "ground_friction",
     "floor_z",
     "floors",
     "rooms",
@@ -54,6 +55,7 @@ _POINT_KEYS = ("position", "color", "strength", "range", "attenuation", "directi
 _SHAPES: tuple[ShapeKind, ...] = ("mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid", "cone")
 _OBJECT_KEYS = (
     "name", *_SHAPES, "pose", "scale", "up_axis", "unit_m", "semantic_class", "collision", "visible", "color", "metallic", "roughness",
+    "friction",
 )  # fmt: skip
 _ROOM_KEYS = ("name", "class", "floor", "polygon")
 _BODY_KEYS = ("name", "model", "pose", "joints", "static", "scale", "semantic_class")
@@ -82,6 +84,7 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
         # A single number is the magnitude of gravity, which points down.
         builder.gravity = (0.0, 0.0, -top.number("gravity")) if isinstance(gravity, int | float) else top.vec3("gravity")
     builder.ground_z = top.number("ground_z") if top.has("ground_z") else None
+    builder.ground_friction = top.number("ground_friction", 1.0, low=0.0, high=1.0)
     builder.floor_z = top.number("floor_z") if top.has("floor_z") else None
     builder.floors = top.floats("floors") if top.has("floors") else ()
     if builder.floors and builder.floor_z is None:
@@ -162,14 +165,15 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
         builder.add_visual(name, shape, T_world_shape, _color(item), item.text("semantic_class", ""), _appearance(item))
     elif collision == "none":
         raise SceneError(f"{item.where}: visible is false and collision none, so it has no effect; leave it out")
+    friction = item.number("friction", 1.0, low=0.0, high=1.0)
     if collision == "same":
-        builder.add_collision(name, shape, T_world_shape)
+        builder.add_collision(name, shape, T_world_shape, friction)
     elif collision == "simplified":
         if shape.kind != "mesh":
             raise SceneError(f"{item.where}: collision simplified is for meshes; a {shape.kind} is simple already")
-        builder.add_simplified_collision(name, shape, T_world_shape)
+        builder.add_simplified_collision(name, shape, T_world_shape, friction)
     elif collision != "none":
-        builder.add_collision(name, *_mesh(builder, path, item, collision, matrix))
+        builder.add_collision(name, *_mesh(builder, path, item, collision, matrix), friction)
 
 
 def _splats(builder: SceneBuilder, path: Path, item: YamlMap) -> None:

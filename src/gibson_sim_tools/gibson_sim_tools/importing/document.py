@@ -55,6 +55,12 @@ class ImportedObject:
     """``same``, ``none``, ``simplified``, or a mesh in the frame of the shape."""
     visible: bool = True
     """False = collision only."""
+    metallic: float | None = None
+    """Metalness, 0 to 1; None = as in the mesh file."""
+    roughness: float | None = None
+    """Roughness, 0 to 1; None = as in the mesh file."""
+    friction: float = 1.0
+    """Coulomb friction, 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +89,7 @@ class ImportedScene:
     floors: tuple[float, ...] = ()
     """Floor heights, m, the lowest first; empty = estimated on loading."""
     ground_z: float | None = None
+    ground_friction: float = 1.0
     gravity: Vec3 | None = None
     rooms: tuple[RoomSpec, ...] = ()
     starts: list[dict[str, Any]] = field(default_factory=list)
@@ -154,6 +161,8 @@ def scene_document(scene: ImportedScene, writer: MeshPlacer) -> str:
         document["gravity"] = [_short(c) for c in scene.gravity]
     if scene.ground_z is not None:
         document["ground_z"] = _short(scene.ground_z)
+    if scene.ground_friction != 1.0:
+        document["ground_friction"] = _short(scene.ground_friction)
     if len(scene.floors) == 1:
         document["floor_z"] = _short(scene.floors[0])
     elif scene.floors:
@@ -192,6 +201,11 @@ def _object(item: ImportedObject, writer: MeshPlacer, names: dict[str, int]) -> 
         out["visible"] = False
     if item.color is not None:
         out["color"] = [_short(c) for c in item.color]
+    for key in ("metallic", "roughness"):
+        if getattr(item, key) is not None:
+            out[key] = _short(getattr(item, key))
+    if item.friction != 1.0:
+        out["friction"] = _short(item.friction)
     if isinstance(item.collision, str):
         if item.collision != "same":
             out["collision"] = item.collision

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
-from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.description.shapes import Appearance, Shape, VisualSpec
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import TO_Z_UP, Mesh, UpAxis
@@ -303,7 +303,7 @@ def _world(source: Source, options: ImportOptions) -> ImportedScene:
 def from_spec(spec: SceneSpec, out: ImportedScene) -> ImportedScene:
     """Fills ``out`` from a loaded scene and returns it; the files of the scene stay in place."""
     out.warnings += list(spec.warnings)
-    out.floors, out.ground_z = spec.floors, spec.ground_z
+    out.floors, out.ground_z, out.ground_friction = spec.floors, spec.ground_z, spec.ground_friction
     out.gravity = spec.gravity if spec.gravity != (0.0, 0.0, -9.81) else None
     out.light = light_document(spec.light)
     for start in spec.starts:
@@ -313,10 +313,15 @@ def from_spec(spec: SceneSpec, out: ImportedScene) -> ImportedScene:
     loader = MeshLoader(scene_roots(spec), textures=False)
     collisions = collisions_by_visual(spec)
     for visual in spec.visuals:
-        out.objects.append(_object(visual, collisions.get(visual.name, []), loader))
+        shapes = collisions.get(visual.name, [])
+        if len({shape.friction for shape in shapes}) > 1:
+            out.warnings.append(f"{visual.name}: its collision shapes differ in friction; {shapes[0].friction:g} is used for all")
+        out.objects.append(_object(visual, shapes, loader))
     for collision in collisions.get(WITHOUT_VISUAL, []):
         shape, scale = _shape(collision.shape)
-        out.objects.append(ImportedObject(collision.name, shape, collision.pose, scale, visible=False))
+        out.objects.append(
+            ImportedObject(collision.name, shape, collision.pose, scale, visible=False, friction=collision.friction)
+        )
     return out
 
 
@@ -342,9 +347,11 @@ def collisions_by_visual(spec: SceneSpec) -> dict[str, list[CollisionSpec]]:
 
 def _object(visual: VisualSpec, collisions: list[CollisionSpec], loader: MeshLoader) -> ImportedObject:
     shape, scale = _shape(visual.shape)
+    look = Appearance() if visual.appearance is None else visual.appearance
     item = ImportedObject(
-        visual.name, shape, visual.pose, scale, semantic_class=visual.semantic_class, color=visual.color, collision="none"
-    )
+        visual.name, shape, visual.pose, scale, semantic_class=visual.semantic_class, color=visual.color, collision="none",
+        metallic=look.metallic, roughness=look.roughness, friction=collisions[0].friction if collisions else 1.0,
+    )  # fmt: skip
     if not collisions:
         return item
     if len(collisions) == 1 and collisions[0].pose == visual.pose:

@@ -96,3 +96,19 @@ def test_a_broken_note_is_one_line(tmp_path: Path, text: str) -> None:
     (finding,) = check_path(tmp_path / "out").findings
     assert finding.what == "unreadable"
     assert LEFT_OUT in finding.text and "\n" not in finding.text
+
+
+def test_friction_and_look_of_a_world_are_imported(tmp_path: Path) -> None:
+    surface = "<surface><friction><ode><mu>{}</mu></ode></friction></surface>"
+    geometry = "<geometry><capsule><radius>0.1</radius><length>0.5</length></capsule></geometry>"
+    material = "<material><diffuse>1 0 0 1</diffuse><pbr><metal><metalness>0.25</metalness><roughness>0.75</roughness></metal></pbr></material>"
+    plane = f'<collision name="p"><geometry><plane/></geometry>{surface.format(0.5)}</collision>'
+    link = f'<visual name="v">{geometry}{material}</visual><collision name="c">{geometry}{surface.format(0.25)}</collision>'
+    world = f'<model name="post"><static>1</static><link name="l">{link}{plane}</link></model>'
+    (tmp_path / "w.sdf").write_text(f'<sdf version="1.9"><world name="w">{world}</world></sdf>')
+    imported = load_scene(import_scene(tmp_path / "w.sdf", tmp_path / "out").file)
+    original = load_scene(tmp_path / "w.sdf")
+    assert [(c.shape, c.friction) for c in imported.collisions] == [(c.shape, c.friction) for c in original.collisions]
+    assert [c.friction for c in imported.collisions] == [0.25]
+    assert imported.ground_friction == 0.5
+    assert [v.appearance for v in imported.visuals] == [v.appearance for v in original.visuals]

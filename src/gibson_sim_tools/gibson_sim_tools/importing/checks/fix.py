@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
-from gibson_sim.description.shapes import Shape
+from gibson_sim.description.shapes import Appearance, Shape
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
@@ -144,6 +144,7 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
     is_transformed = not np.allclose(matrix, np.eye(4), atol=1e-6)
     if matrix[2, 2] >= np.cos(np.radians(ON_ITS_SIDE_DEG)) * (fix.unit_m or 1.0):
         # Floor heights and rooms of a scene on its side are meaningless.
+        out.ground_friction = scene.ground_friction
         out.floors, out.ground_z, out.rooms = (
             (scene.floors, scene.ground_z, scene.rooms) if not is_transformed else _transformed_floors(report, matrix)
         )
@@ -337,8 +338,12 @@ def _repaired_objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Seq
     out = []
     for visual in scene.visuals:
         mesh = _repaired(loader, visual.shape, matrix @ matrix_from_pose(visual.pose), textures)
-        item = ImportedObject(visual.name, mesh, semantic_class=visual.semantic_class, color=visual.color, collision="none")
         shapes = shapes_by_visual.get(visual.name, [])
+        look = Appearance() if visual.appearance is None else visual.appearance
+        item = ImportedObject(
+            visual.name, mesh, semantic_class=visual.semantic_class, color=visual.color, collision="none", metallic=look.metallic,
+            roughness=look.roughness, friction=shapes[0].friction if shapes else 1.0,
+        )  # fmt: skip
         if len(shapes) == 1 and shapes[0].shape == visual.shape and shapes[0].pose == visual.pose:
             item = replace(item, collision="same")
         elif len(shapes) > 1 and len({c.name for c in shapes}) == 1:
@@ -352,7 +357,7 @@ def _repaired_objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Seq
     for unseen in shapes_by_visual.get(WITHOUT_VISUAL, []):
         mesh = _repaired(loader, unseen.shape, matrix @ matrix_from_pose(unseen.pose), None)
         if mesh.parts:
-            out.append(ImportedObject(unseen.name, mesh, visible=False))
+            out.append(ImportedObject(unseen.name, mesh, visible=False, friction=unseen.friction))
     return out
 
 
