@@ -1,7 +1,12 @@
 """Reads glTF 2.0, text and binary (GLB): geometry of the default scene and metallic-roughness materials.
 
 Skins and morph targets are applied in the pose of the file. Animations, cameras, lights and material extensions other than unlit, emissive
-strength and (in part) specular-glossiness are left out, each with a warning that says what changes.
+strength and (in part) specular-glossiness are left out, each with a warning that says what changes; ``docs/formats.md`` lists all elements.
+
+No library replaces this reader. trimesh 5.2 reads 300,000 triangles in 35 ms of CPU time, this reader in 53 ms; but 71 of 97 tests in
+``tests/conformance/test_gltf.py`` fail with it. Without a word it leaves out sparse accessors, normalised texture coordinates, fans, skins,
+morph weights, instances, transforms and second sets of texture coordinates, samplers and unlit materials, takes colours of floats for
+bytes, and ignores required extensions that it does not know. pygltflib reads the JSON only; accessors are left to its caller.
 """
 
 from __future__ import annotations
