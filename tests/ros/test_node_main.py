@@ -15,7 +15,9 @@ require("rclpy", "gibson_msgs")
 from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from gibson_sim.ros.nodes.node_main import is_running, run_node  # noqa: E402
+from gibson_sim.processes.node_process import PARENT_VARIABLE  # noqa: E402
+from gibson_sim.ros.nodes import node_main  # noqa: E402
+from gibson_sim.ros.nodes.node_main import PARENT_ENDED, is_running, run_node  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_domain")]
 
@@ -55,6 +57,19 @@ class Stuck(Talker):
         return 7
 
 
+class Orphan(Talker):
+    """Its launcher has ended: the kernel says so for each thread of it, the last time while the node cleans up."""
+
+    def spin(self) -> int:
+        os.kill(os.getpid(), PARENT_ENDED)
+        os.kill(os.getpid(), PARENT_ENDED)
+        return 0 if not is_running() else 5
+
+    def close(self) -> None:
+        os.kill(os.getpid(), PARENT_ENDED)
+        print("cleaned up")
+
+
 class Broken(Talker):
     """Does what rclpy refuses while all is well."""
 
@@ -76,6 +91,20 @@ def test_a_message_that_a_signal_overtakes_is_sent_and_the_node_is_asked_to_end(
 
 def test_second_signal_ends_a_node_at_once() -> None:
     assert ended(Stuck) == 0
+
+
+def test_node_whose_launcher_ends_cleans_up_however_often_it_is_told(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(node_main, "end_with_parent", lambda: None)
+    monkeypatch.setenv(PARENT_VARIABLE, str(os.getppid()))
+    before = signal.getsignal(PARENT_ENDED)
+    try:
+        assert ended(Orphan) == 0
+        os.kill(os.getpid(), PARENT_ENDED)  # while the process ends
+    finally:
+        signal.signal(PARENT_ENDED, before)
+    assert capfd.readouterr().out == "cleaned up\n"
 
 
 def test_signal_while_a_node_is_made_ends_it_at_once_and_handlers_are_put_back() -> None:

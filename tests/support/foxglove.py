@@ -36,6 +36,8 @@ class FoxgloveClient:
         self.failures: list[str] = []
         self._responses: dict[int, bytes] = {}
         self._topics: dict[int, str] = {}
+        self._subscribed: dict[str, int] = {}
+        """Topic with a subscription -> its channel."""
         self._ids = itertools.count(1)
 
     async def __aenter__(self) -> FoxgloveClient:
@@ -64,6 +66,7 @@ class FoxgloveClient:
             assert message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), f"{message.type}, and still no {what}"
             if message.type is aiohttp.WSMsgType.TEXT:
                 self._on_json(message.json())
+                await self._renew()
             else:
                 self._on_binary(message.data)
 
@@ -99,15 +102,27 @@ class FoxgloveClient:
 
     async def subscribe(self, *topics: str) -> None:
         await self.until(lambda: set(topics) <= set(self.channels), f"channels of {topics}")
+        self._subscribed.update(dict.fromkeys(topics, -1))
+        await self._renew()
+
+    async def _renew(self) -> None:
+        """Subscribes to the channels of the wanted topics, as the app does: to the new one of a topic that was gone for a while, too.
+
+        On a machine that stalls for the 20 s of DDS's lease, all topics of a node are gone until it is discovered again.
+        """
         wanted = []
-        for topic in topics:
-            number = next(self._ids)
-            self._topics[number] = topic
-            wanted.append({"id": number, "channelId": self.channels[topic]["id"]})
-        await self.socket.send_json({"op": "subscribe", "subscriptions": wanted})
+        for topic, channel in self._subscribed.items():
+            present = self.channels.get(topic, {}).get("id", channel)
+            if present != channel:
+                number = next(self._ids)
+                self._topics[number], self._subscribed[topic] = topic, present
+                wanted.append({"id": number, "channelId": present})
+        if wanted:
+            await self.socket.send_json({"op": "subscribe", "subscriptions": wanted})
 
     async def unsubscribe(self, topic: str) -> None:
-        number = next(number for number, name in self._topics.items() if name == topic)
+        del self._subscribed[topic]
+        number = max(number for number, name in self._topics.items() if name == topic)
         await self.socket.send_json({"op": "unsubscribe", "subscriptionIds": [number]})
 
     async def advertise(self, topic: str, type_name: str, encoding: str = "cdr") -> int:

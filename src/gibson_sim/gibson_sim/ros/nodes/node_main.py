@@ -127,6 +127,9 @@ def started_by_launcher() -> bool:
     return bool(os.environ.get(PARENT_VARIABLE))
 
 
+PARENT_ENDED = signal.SIGHUP
+"""Signal of the kernel when the launcher has ended. It comes once for each of the launcher's threads, so it is not one of those of which a second
+one ends a node in the middle of its cleaning up. Nodes have their own session: no terminal sends it."""
 _PR_SET_PDEATHSIG = 1
 """Number of an option of prctl(2)."""
 
@@ -135,7 +138,7 @@ def end_with_parent() -> None:
     """Requests from the kernel that this process ends when its launcher ends."""
     if not started_by_launcher():
         return
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, PARENT_ENDED)
     if os.getppid() != int(os.environ[PARENT_VARIABLE]):  # the launcher ended before the call
         sys.exit(1)
 
@@ -157,19 +160,32 @@ def keep_large_blocks() -> None:
 class _Signals(Interruptible):
     """Handles SIGINT and SIGTERM: while a node spins, the first ends it after the running callback, a second one ends it immediately.
 
+    In a node of a launcher it handles ``PARENT_ENDED`` as well, of which further ones are ignored until the process has ended.
     rclpy's own handlers would shut down the context in the middle of a callback that is about to publish.
     """
 
     def __init__(self) -> None:
         super().__init__(signal.SIGINT, signal.SIGTERM)
-        self.spinning = self.end_requested = False
+        self.spinning = self.end_requested = self._is_ending = False
 
     def __enter__(self) -> _Signals:
-        self.spinning = self.end_requested = False
+        self.spinning = self.end_requested = self._is_ending = False
         super().__enter__()
+        if started_by_launcher():
+            signal.signal(PARENT_ENDED, self._on_parent_ended)
         return self
 
+    def __exit__(self, *exception: object) -> None:
+        if started_by_launcher():
+            signal.signal(PARENT_ENDED, signal.SIG_IGN)  # the process is ending
+        super().__exit__(*exception)
+
+    def _on_parent_ended(self, number: int, frame: FrameType | None) -> None:
+        if not self._is_ending:
+            self._on_signal(number, frame)
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self._is_ending = True
         if self.end_requested or not self.spinning:
             super()._on_signal(number, frame)
         self.end_requested = True
