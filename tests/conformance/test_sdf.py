@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from conformance.rules import rule
+from gibson_sim.errors import SceneError
 from gibson_sim.formats.uris import UriResolver
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.scenes.builder import SceneBuilder
@@ -24,7 +25,9 @@ from gibson_sim.scenes.spec import SceneSpec
 FORMAT = "SDF"
 QUARTER = "1.5707963267948966"
 BOX = "<geometry><box><size>1 2 3</size></box></geometry>"
-VISUAL = f'<visual name="v">{BOX}</visual>'
+COLLISION = f'<collision name="c">{BOX}</collision>'
+DRAWN = f'<visual name="v">{BOX}</visual>'
+VISUAL = DRAWN + COLLISION
 
 
 @pytest.fixture(autouse=True)
@@ -393,7 +396,7 @@ def test_a_level_plane_is_the_ground(tmp_path: Path) -> None:
 @rule(FORMAT, "<plane>", "approximated", "a plane that is not level, or of a body, collides as a plate of its <size>")
 def test_a_vertical_plane_collides_as_a_plate(tmp_path: Path) -> None:
     plane = '<collision name="c"><geometry><plane><normal>1 0 0</normal><size>4 6</size></plane></geometry></collision>'
-    scene = world(tmp_path, f'<model name="w"><static>1</static><link name="l">{plane}{VISUAL}</link></model>')
+    scene = world(tmp_path, f'<model name="w"><static>1</static><link name="l">{plane}{DRAWN}</link></model>')
     (plate,) = scene.collisions
     assert plate.shape.size == (4.0, 6.0, 0.01)
     # The plate lies behind the plane x = 0.
@@ -439,7 +442,7 @@ def test_meshes_are_scaled_and_whole(tmp_path: Path) -> None:
 
 def _color(folder: Path, material: str, more: str = "") -> tuple[tuple[float, ...] | None, tuple[str, ...]]:
     visual = f'<visual name="v">{BOX}<material>{material}</material>{more}</visual>'
-    scene = world(folder, f'<model name="m"><static>1</static><link name="l">{visual}</link></model>')
+    scene = world(folder, f'<model name="m"><static>1</static><link name="l">{visual}{COLLISION}</link></model>')
     return scene.visuals[0].color, scene.warnings
 
 
@@ -656,7 +659,7 @@ def test_springs_are_named(tmp_path: Path) -> None:
 
 def _surface(folder: Path, surface: str) -> SceneSpec:
     collision = f'<collision name="c">{BOX}<surface>{surface}</surface></collision>'
-    return world(folder, f'<model name="m"><static>1</static><link name="l">{collision}{VISUAL}</link></model>')
+    return world(folder, f'<model name="m"><static>1</static><link name="l">{collision}{DRAWN}</link></model>')
 
 
 @rule(
@@ -917,3 +920,148 @@ def test_numbers_that_make_no_sense_are_named(tmp_path: Path, content: str) -> N
 def test_two_joints_of_one_name_are_named(tmp_path: Path) -> None:
     got = body(tmp_path, LINKS + _joint("j", "fixed", "a", "b") + _joint("j", "fixed", "b", "c")).model
     assert warned(got.warnings, "two joints are named 'j'")
+
+
+# Further parts of models
+
+
+@rule(FORMAT, "model/static", "done", "of a body: nothing of it moves")
+@rule(FORMAT, "include/static", "done")
+def test_static_models_are_fixed(tmp_path: Path) -> None:
+    assert body(tmp_path, f"<static>true</static>{LINKS}").static
+    assert not body(tmp_path, LINKS).static
+    model(tmp_path, "n", f'<link name="l">{VISUAL}</link>')
+    include = "<include><uri>model://n</uri>{}</include>"
+    assert warned(world(tmp_path, include.format("")).warnings, "not <static>")
+    assert not world(tmp_path, include.format("<static>1</static>")).warnings
+
+
+@rule(FORMAT, "model/static", "approximated", "a static model within a body that moves: it moves with that one")
+def test_a_static_model_within_one_that_moves_is_named(tmp_path: Path) -> None:
+    inner = '<model name="n"><static>1</static><link name="l"/></model>'
+    assert warned(body(tmp_path, f'<link name="a"/>{inner}').model.warnings, "m::n", "moves with that one")
+
+
+@rule(FORMAT, "joint/parent: world", "done", "a fixed joint to the world makes a body static")
+def test_a_body_is_fixed_to_the_world(tmp_path: Path) -> None:
+    got = body(
+        tmp_path, LINKS + _joint("w", "fixed", "world", "a") + _joint("j", "fixed", "a", "b") + _joint("k", "fixed", "b", "c")
+    )
+    assert got.static
+
+
+@rule(FORMAT, "joint: loops", "left out", "a joint that gives a link a second parent")
+def test_joints_that_close_loops_are_named(tmp_path: Path) -> None:
+    loop = _joint("j", "fixed", "a", "b") + _joint("k", "fixed", "b", "c") + _joint("back", "revolute", "a", "c")
+    assert warned(body(tmp_path, LINKS + loop).model.warnings, "'back'", "second parent or closes a loop; left out")
+
+
+@rule(FORMAT, "links without a joint", "approximated", "fixed to the first link of the body")
+def test_links_without_a_joint_are_named(tmp_path: Path) -> None:
+    assert warned(body(tmp_path, LINKS).model.warnings, "no joint connects b, c; fixed to a")
+
+
+@rule(FORMAT, "axis/use_parent_model_frame", "done", "SDF 1.5 and 1.6; in 1.4 all axes are in the frame of the model")
+@pytest.mark.parametrize(
+    ("version", "content", "axis"),
+    [("1.4", "", (0, -1, 0)), ("1.6", "", (1, 0, 0)), ("1.6", "<use_parent_model_frame>1</use_parent_model_frame>", (0, -1, 0))],
+)
+def test_axes_of_older_versions(tmp_path: Path, version: str, content: str, axis: tuple[float, ...]) -> None:
+    turned = f'<link name="a"/><link name="b"><pose>1 0 0 0 0 {QUARTER}</pose></link>'
+    joint = _joint("j", "prismatic", "a", "b", f"<axis><xyz>1 0 0</xyz>{content}</axis>")
+    assert body(tmp_path, turned + joint, version).model.joint("j").axis == pytest.approx(axis)
+
+
+@rule(
+    FORMAT,
+    "joint: sensor, physics/ode, physics/simbody, limit/stiffness, axis/initial_position",
+    "left out",
+    "stops are rigid, and joints start at 0",
+)
+@pytest.mark.parametrize(
+    ("axis", "joint", "tag"),
+    [
+        ("<initial_position>0.5</initial_position>", "", "initial_position"),
+        ("<limit><stiffness>10</stiffness></limit>", "", "stiffness"),
+        ("<limit><dissipation>10</dissipation></limit>", "", "dissipation"),
+        ("", "<physics><ode><cfm_damping>1</cfm_damping></ode></physics>", "ode"),
+        ("", "<physics><simbody/></physics>", "simbody"),
+        ("", '<sensor name="s" type="force_torque"/>', "sensor"),
+    ],
+)
+def test_parts_of_joints_without_a_counterpart_are_named(tmp_path: Path, axis: str, joint: str, tag: str) -> None:
+    content = _joint("j", "revolute", "a", "b", f"<axis><xyz>0 0 1</xyz>{axis}</axis>{joint}") + _joint("k", "fixed", "b", "c")
+    assert warned(body(tmp_path, LINKS + content).model.warnings, f"<{tag}>", "left out")
+
+
+@rule(FORMAT, "inertial/fluid_added_mass", "left out", "there is no fluid")
+def test_added_mass_is_named(tmp_path: Path) -> None:
+    content = "<mass>1</mass><fluid_added_mass><xx>1</xx></fluid_added_mass>"
+    assert warned(_inertial(tmp_path, content)[3], "<fluid_added_mass>", "there is no fluid")
+
+
+@pytest.mark.parametrize("content", ["<laser_retro>5</laser_retro>", "<max_contacts>1</max_contacts>"])
+def test_elements_of_collisions_without_a_counterpart_are_named(tmp_path: Path, content: str) -> None:
+    got = body(tmp_path, f'<link name="l"><collision name="c">{BOX}{content}</collision></link>').model
+    assert warned(got.warnings, f"<{ElementTree.fromstring(content).tag}>", "left out")
+
+
+@rule(
+    FORMAT,
+    "mesh[optimization], mesh/convex_decomposition",
+    "left out",
+    "fixed meshes collide with all triangles, others as convex hulls",
+)
+def test_the_optimization_of_meshes_is_named(tmp_path: Path) -> None:
+    _mesh(tmp_path)
+    mesh = '<geometry><mesh optimization="convex_decomposition"><uri>a.obj</uri></mesh></geometry>'
+    scene = world(tmp_path, f'<model name="m"><link name="l">{VISUAL}<collision name="c">{mesh}</collision></link></model>')
+    assert warned(scene.warnings, "'convex_decomposition'", "has no effect")
+
+
+@rule(FORMAT, "a model without collisions", "approximated", "it collides as it is drawn")
+def test_a_model_without_collisions_collides_as_it_is_drawn(tmp_path: Path) -> None:
+    content = f'<model name="m"><static>1</static><link name="l"><visual name="v">{BOX}</visual></link></model>'
+    scene = world(tmp_path, content)
+    assert [c.shape for c in scene.collisions] == [v.shape for v in scene.visuals]
+    assert scene.warnings == ("m: without a <collision>: collides as it is drawn",)
+    assert warned(body(tmp_path, f'<link name="l"><visual name="v">{BOX}</visual></link>').model.warnings, "as it is drawn")
+
+
+@rule(FORMAT, "model.config", "done", "the newest of its <sdf> versions")
+def test_the_newest_version_of_a_model_is_included(tmp_path: Path) -> None:
+    model(tmp_path, "n", '<link name="old"/>')
+    folder = tmp_path / "scene" / "models" / "n"
+    (folder / "new.sdf").write_text(f'<sdf version="1.10"><model name="n"><link name="l">{VISUAL}</link></model></sdf>')
+    listed = '<sdf version="1.9">model.sdf</sdf><sdf version="1.10">new.sdf</sdf>'
+    (folder / "model.config").write_text(f"<model><name>n</name>{listed}</model>")
+    assert len(world(tmp_path, "<include><uri>model://n</uri></include>").visuals) == 1
+
+
+@rule(FORMAT, "include/uri: file://, package://, relative", "done")
+@pytest.mark.parametrize("uri", ["../models/n", "../models/n/model.sdf", "file://{}/scene/models/n"])
+def test_models_are_included_by_path(tmp_path: Path, uri: str) -> None:
+    model(tmp_path, "n", f'<link name="l">{VISUAL}</link>')
+    assert len(world(tmp_path, f"<include><uri>{uri.format(tmp_path)}</uri></include>").visuals) == 1
+
+
+@rule(FORMAT, "several <world>", "approximated", "the first")
+def test_of_several_worlds_the_first_is_read(tmp_path: Path) -> None:
+    (tmp_path / "w.sdf").write_text(f'<sdf version="1.9"><world name="a">{SIMPLE}</world><world name="b"/></sdf>')
+    assert warned(load_scene(tmp_path / "w.sdf").warnings, "several worlds; the first, 'a', is used")
+
+
+@rule(FORMAT, "<include> without a file", "left out", "the rest of the world is read; a body is refused")
+def test_missing_models_are_named(tmp_path: Path) -> None:
+    scene = world(tmp_path, f"<include><uri>model://gone</uri></include>{SIMPLE}")
+    assert warned(scene.warnings, "model://gone does not exist; left out")
+
+
+@rule(FORMAT, "<sdf> without a world or a model", "refused")
+@pytest.mark.parametrize("text", ["<sdf/>", '<sdf version="1.9"><light name="l" type="point"/></sdf>', "<sdf"])
+def test_files_without_a_world_are_refused_in_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "w.sdf").write_text(text)
+    with pytest.raises(SceneError) as caught:
+        load_scene(tmp_path / "w.sdf")
+    assert "w.sdf" in str(caught.value)
+    assert "\n" not in str(caught.value)

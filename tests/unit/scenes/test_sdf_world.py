@@ -31,8 +31,8 @@ def _load(folder: Path, content: str, *, sdf_lamps: bool = False) -> SceneSpec:
 
 
 def _others(scene: SceneSpec) -> tuple[str, ...]:
-    """Returns the warnings except the one that the models of the world are fixed."""
-    return tuple(w for w in scene.warnings if "not <static>, but fixed" not in w)
+    """Returns the warnings except those that models of the world are fixed, and collide as they are drawn."""
+    return tuple(w for w in scene.warnings if "not <static>, but fixed" not in w and "collides as it is drawn" not in w)
 
 
 def _box_link(pose: str = "") -> str:

@@ -113,7 +113,7 @@ class _DirectivesReader:
                 continue
             self.builder.add_visual(name, shape, T_world_shape, None, class_from_model(name))
             self.builder.add_collision(name, shape, T_world_shape)
-        self.models.left_out.report(self.builder.warn)
+        self.models.report()
 
     def _add_model(self, content: dict[str, Any]) -> None:
         name, uri = str(content.get("name", "")), str(content.get("file", ""))

@@ -154,7 +154,9 @@ class SdfBodyReader:
                 self.builder.warn(f"{where}: light {quoted(name_of(light))} of a body does not shine")
             inertial = self._inertial(link, name)
             links[name] = UrdfLink(name, tuple(visuals), tuple(collisions), inertial, self._friction(link.element, name))
-        self.models.left_out.report(self.builder.warn)
+        if not has_collision and any(link.visuals for link in links.values()):
+            self.models.without_collision[self.path.stem] = None
+        self.models.report()
         return links
 
     def _shapes(self, link: _FlatLink, item: Element, name: str) -> Iterator[PlacedShape]:

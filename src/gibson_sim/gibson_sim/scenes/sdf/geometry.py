@@ -103,6 +103,11 @@ class SdfShapes:
         if element.find("submesh") is not None:
             text = f"{where}: <submesh> of {path.name} is not supported; the whole mesh is used"
             self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+        if element.get("optimization", "").strip():
+            self.builder.warn(
+                f"{where}: optimization {quoted(element.get('optimization'))} of {path.name} has no effect: meshes that are fixed collide "
+                "with all their triangles, others as their convex hulls"
+            )
         try:
             # Gazebo ignores the up_axis of a DAE, and worlds rely on that.
             up_axis: UpAxis | None = "z" if path.suffix.lower() == ".dae" else None

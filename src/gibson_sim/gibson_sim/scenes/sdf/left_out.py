@@ -241,9 +241,9 @@ class LeftOut:
         """Passes on one warning for each reason, and one for the elements that SDF does not have, and forgets them."""
         for reason, omitted in self._omitted.items():
             tags = ", ".join(f"<{tag}>" for tag in omitted.tags)
-            warn(f"{tags} of {_listed(list(omitted.names))}: left out: {reason}", OmissionKind.OTHER)
+            warn(f"{tags} of {listed(list(omitted.names))}: left out: {reason}", OmissionKind.OTHER)
         if self._unknown:
-            names = _listed([f"<{tag}> in <{parent}>" for parent, tag in self._unknown])
+            names = listed([f"<{tag}> in <{parent}>" for parent, tag in self._unknown])
             warn(f"{names}: unknown in SDF; left out", OmissionKind.OTHER)
         self._omitted.clear()
         self._unknown.clear()
@@ -254,6 +254,7 @@ def _named(child: Element, where: str) -> str:
     return f"{name} ({where})" if name else where
 
 
-def _listed(names: list[str]) -> str:
+def listed(names: list[str]) -> str:
+    """Returns the first names of a list, and the number of the others."""
     more = len(names) - _MAX_NAMES
     return ", ".join(names[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")

@@ -31,7 +31,7 @@ from gibson_sim.scenes.sdf.elements import (
     text_of,
 )  # fmt: skip
 from gibson_sim.scenes.sdf.geometry import PlacedShape, SdfShapes
-from gibson_sim.scenes.sdf.left_out import LeftOut
+from gibson_sim.scenes.sdf.left_out import LeftOut, listed
 from gibson_sim.scenes.sdf.materials import is_visible, look_of
 from gibson_sim.scenes.sdf.scopes import WORLD, Frame, Scope, reference_of
 from gibson_sim.types import Rgba
@@ -59,6 +59,8 @@ class SdfModels:
         self._count = 0
         self.left_out = LeftOut()
         """Elements that have no effect, of all models so far."""
+        self.without_collision: dict[str, None] = {}
+        """Names of the models that collide as they are drawn, since they have no <collision>."""
         self.lights: list[tuple[Element, F64]] = []
         """Lights of the links of placed models, each with T_world_light, (4, 4)."""
 
@@ -271,8 +273,17 @@ class SdfModels:
                         self.builder.warn(
                             f"{where}: is drawn as its collision shapes, in plain grey: its visuals cannot be drawn"
                         )
+        if visual_count and not has_collision:
+            self.without_collision[top] = None
         if collision_count and not visual_count:
             self.builder.warn(f"{where}: is invisible: it has collision shapes, but no visual")
+
+    def report(self) -> None:
+        """Warns about what has no effect, and about models that collide as they are drawn, of all models so far."""
+        self.left_out.report(self.builder.warn)
+        if self.without_collision:
+            self.builder.warn(f"{listed(list(self.without_collision))}: without a <collision>: collides as it is drawn")
+            self.without_collision.clear()
 
     def _visual(
         self, scope: Scope, element: Element, T_world_scope: F64, T_world_link: F64, top: str, kind: str, collides: bool

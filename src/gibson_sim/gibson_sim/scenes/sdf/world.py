@@ -15,6 +15,7 @@ from gibson_sim.formats.uris import UriResolver
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.sdf.elements import F64, Element, is_true, name_of, numbers, read_sdf, sdf_version, text_of
+from gibson_sim.scenes.sdf.left_out import listed
 from gibson_sim.scenes.sdf.model import SdfModels
 from gibson_sim.scenes.sdf.scopes import Scope
 from gibson_sim.scenes.spec import LightSpec, PointLight
@@ -29,8 +30,6 @@ _LIGHT_NUMBERS = (
     "spot/outer_angle",
 )  # fmt: skip
 """Paths of the numbers of a light."""
-_MAX_NAMES = 4
-"""Maximum number of models that one warning names."""
 _MIN_AMBIENT = 0.2
 """Minimum ambient light, so that a scene without lights is not black."""
 
@@ -76,7 +75,7 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
             text = f"<{child.tag}> {quoted(child.get('name', ''))} is not supported; left out"
             builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
     models.left_out.look(world, f"world {scope.name}")
-    models.left_out.report(builder.warn)
+    models.report()
     _name_moving(builder, scope)
     lights = [(light, scope.placed(light)) for light in world.iterfind("light")]
     lights += [(light, scope.placed(light, pose)) for light, pose in scope.lights] + models.lights
@@ -106,10 +105,7 @@ def _name_moving(builder: SceneBuilder, scope: Scope) -> None:
     inner = [frame.inner for frame in scope.nested.values() if frame.inner is not None and not frame.inner.is_static]
     names = list(dict.fromkeys(model.name for model in inner))
     if names:
-        more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-        builder.warn(
-            f"{', '.join(names[:_MAX_NAMES])}{more}: not <static>, but fixed, as all models of a world; spawn what should move"
-        )
+        builder.warn(f"{listed(names)}: not <static>, but fixed, as all models of a world; spawn what should move")
 
 
 def _world_of_models(root: Element) -> Element:
