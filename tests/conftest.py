@@ -24,6 +24,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_configure() -> None:
+    """Takes the time limits from tests of random values: a busy machine is no fault of theirs."""
+    try:
+        from hypothesis import HealthCheck, settings
+    except ImportError:
+        return
+    settings.register_profile("gibson_sim", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("gibson_sim")
+
+
 def pytest_make_parametrize_id(val: object) -> str | None:
     """Names a test of bytes by their number: the content may hold the time (gzip), and then two workers collect different tests."""
     return f"{len(val)}_bytes" if isinstance(val, bytes) else None

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 from gibson_sim.geometry.distortion import distort, valid_angle, valid_radius_squared
 from gibson_sim.geometry.projections import back_project, project, rays, unproject
@@ -163,7 +163,6 @@ def test_every_pixel_of_the_image_comes_back_to_itself(name):
     assert depth == pytest.approx(1.0)
 
 
-@settings(deadline=None)
 @given(st.sampled_from(sorted(CAMERAS)), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.01, 1000.0))
 def test_a_pixel_survives_the_way_to_space_and_back(name, across, down, distance):
     camera = CAMERAS[name]
@@ -175,7 +174,6 @@ def test_a_pixel_survives_the_way_to_space_and_back(name, across, down, distance
         assert depth[0] == pytest.approx(distance)
 
 
-@settings(deadline=None)
 @given(
     st.floats(-0.4, 0.4), st.floats(-0.2, 0.2), st.floats(-0.1, 0.1), st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01))
 )

@@ -23,7 +23,6 @@ def _whole(*numbers: int) -> tuple[NDArray[np.int64], ...]:
     return tuple(np.array([n]) for n in numbers)
 
 
-@settings(deadline=None)
 @given(st.integers(1, 37), st.integers(1, 37), st.integers(0, 2**32 - 1))
 def test_the_bound_of_a_rectangle_is_below_all_its_values_and_is_one_of_those_around_it(
     width: int, height: int, seed: int
@@ -97,7 +96,7 @@ def _seen(depth: NDArray[np.float32], box: NDArray[np.float64], T: NDArray[np.fl
 
 
 @BOTH
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_a_box_that_a_pixel_would_show_is_never_called_hidden(loops: bool, seed: int) -> None:
     rng = np.random.default_rng(seed)
