@@ -114,6 +114,21 @@ def test_four_wheels_called_mecanum_go_sideways(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
+def test_pins_with_a_level_axis_do_not_steer_and_are_named_and_what_touches_the_floor_beside_the_wheels_slides(
+    tmp_path: Path,
+) -> None:
+    text = (pair(-0.1) + steered(0.2)).replace('"0 0 1"', '"0 1 0"')
+    for side in ("left", "right"):
+        text = text.replace(f'<link name="{side}_pin"/>', f'<link name="{side}_pin">{ROUND["cylinder"]}</link>')
+    derived = derive_file(written(tmp_path, text), mesh_points())
+    assert derived.values["drive"]["type"] == "skid_steer"
+    assert [guess.text for guess in derived.guesses if guess.part == "steering"] == [
+        "left_pin_joint: does not steer, since its axis is not vertical",
+        "right_pin_joint: does not steer, since its axis is not vertical",
+    ]
+    assert derived.values["friction"] == {"left_pin": 0.0, "right_pin": 0.0}
+
+
 def guess_of_drive(path: Path) -> str:
     """Returns the line about the kind of drive."""
     return str(next(guess for guess in derive_file(path, mesh_points()).guesses if guess.key == "drive"))

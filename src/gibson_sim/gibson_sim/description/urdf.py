@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gibson_sim.description.gazebo import gazebo_left_out, read_gazebo
-from gibson_sim.description.mesh_files import resolve_mesh
+from gibson_sim.description.mesh_files import resolve_mesh, without_up_axis
 from gibson_sim.description.mimic import Mimic, leaders
 from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.description.shapes import Shape
@@ -199,12 +199,12 @@ class _Reader:
             missing = missing or shape is None
             if shape is not None:
                 look = self.material(item.find("material"), where)
-                visuals.append(UrdfVisual(shape, self.origin(item, where), look.color, look.texture))
+                visuals.append(UrdfVisual(*without_up_axis(shape, self.origin(item, where)), look.color, look.texture))
         collisions = []
         for item in element.findall("collision"):
             shape = self.shape(item, f"{where}: collision")
             if shape is not None:
-                collisions.append(UrdfCollision(shape, self.origin(item, where)))
+                collisions.append(UrdfCollision(*without_up_axis(shape, self.origin(item, where))))
         if missing and not visuals and collisions:
             visuals = [UrdfVisual(collision.shape, collision.pose, None) for collision in collisions]
             self.warnings.append(f"{self.path.name}: {where}: its collision shapes are drawn, since it has no usable visual")

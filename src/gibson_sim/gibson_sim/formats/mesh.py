@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import MeshError
+from gibson_sim.geometry.transforms import TO_Z_UP as TO_Z_UP, UpAxis as UpAxis
 from gibson_sim.types import Rgba, Vec3
 
 AlphaMode = Literal["opaque", "mask", "blend"]
-UpAxis = Literal["x", "y", "z"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -23,13 +23,6 @@ MATTE_ROUGHNESS = 0.9
 """Minimum roughness of a matte surface, which is not a metal either."""
 LIGHT_GREY: Rgba = (0.8, 0.8, 0.8, 1.0)
 """Colour of surfaces whose file gives none, sRGB and alpha."""
-
-TO_Z_UP: dict[UpAxis, F64] = {
-    "z": np.eye(3),
-    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
-    "x": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
-}
-"""Up axis of the file -> R_zup_file, (3, 3) (COLLADA 1.4.1, up_axis); exact, without rounding."""
 
 
 Wrap = Literal["repeat", "mirror", "clamp"]

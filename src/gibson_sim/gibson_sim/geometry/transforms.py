@@ -7,6 +7,7 @@ axes x, y, z in that order, ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,13 @@ from gibson_sim.types import Pose, Quat, Vec3
 Mat3 = NDArray[np.float64]
 Mat4 = NDArray[np.float64]
 
+UpAxis = Literal["x", "y", "z"]
+TO_Z_UP: dict[UpAxis, Mat3] = {
+    "z": np.eye(3),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "x": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+}
+"""Up axis of the file -> R_zup_file, (3, 3) (COLLADA 1.4.1, up_axis); exact, without rounding."""
 R_LINK_OPTICAL: Mat3 = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """R_link_optical: from optical axes (x right, y down, z forward) to those of a link with x forward, y left, z up (REP 103)."""
 

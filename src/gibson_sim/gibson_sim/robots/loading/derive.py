@@ -107,8 +107,7 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
             values["wheel_drop"] = {wheel.joint.name: round(drop, 5) for wheel in wheels}
             guesses.append(Guess("wheel_drop", f"{drop * 1000:.2g} mm, since {why}"))
         _round_wheels(wheels, values, guesses)
-        if drive["type"] in ("differential", "ackermann"):
-            _friction(model, wheels, points, values, guesses)
+        _friction(model, wheels, points, values, guesses, grips=drive["type"] in ("differential", "ackermann"))
         values["drive"] = drive
     guess_sensors(model, values, guesses)
     return DerivedRobot(values, tuple(guesses))
@@ -187,6 +186,7 @@ def _derive_drive(
             "drive.separation_factor: the turn that the real wheels roll over the turn that the base makes, measured on the floor"
         )
         guesses.append(Guess("drive", text, "separation_factor", hand))
+        _note_steering(model, measured, guesses)
     if drive["type"] == "ackermann":
         pins = f"{used[1].left.swivel.name}, {used[1].right.swivel.name}"  # type: ignore[union-attr]
         guesses.append(Guess("drive", f"{pins}, {used[1].x - used[0].x:.4g} m in front", "steering"))
@@ -198,6 +198,16 @@ def _derive_drive(
         text = f"{angles} degrees, {how_angled}"
         guesses.append(Guess("drive", text, "roller_deg", "drive.wheels: roller_deg of each, if it goes the wrong way sideways"))
     return drive, measured
+
+
+def _note_steering(model: UrdfModel, wheels: Sequence[Wheel], guesses: list[Guess]) -> None:
+    """Notes joints above wheels that are named as steering joints and do not steer."""
+    above = {joint.child: joint for joint in model.joints}
+    for joint in dict.fromkeys(above[w.joint.parent] for w in wheels if w.joint.parent in above):
+        if joint.kind != "fixed" and steers(joint):
+            why = "its axis is not vertical"
+            hand = f"description: joint {quoted(joint.name)} cannot steer, since {why}"
+            guesses.append(Guess("drive", f"{joint.name}: does not steer, since {why}", "steering", hand))
 
 
 def _refuse_legs(model: UrdfModel, points: MeshPoints | None) -> None:
@@ -470,16 +480,24 @@ def _bears_alone(model: UrdfModel, names: Sequence[str], floor: float, points: M
 
 
 def _friction(
-    model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None, values: dict[str, Any], guesses: list[Guess]
+    model: UrdfModel,
+    wheels: Sequence[Wheel],
+    points: MeshPoints | None,
+    values: dict[str, Any],
+    guesses: list[Guess],
+    *,
+    grips: bool,
 ) -> None:
-    """Sets missing frictions: driven wheels grip, and other links on the floor slide, like casters."""
+    """Sets missing frictions: driven wheels grip if they drive by friction (``grips``), and other links on the floor slide, like casters."""
     transforms = model.transforms()
     turning = {wheel.joint.child for wheel in wheels}
     floor = min(wheel.bottom for wheel in wheels)
     frictions = {}
     for link in model.links:
         spanned = link_points(link.collisions, transforms[link.name], points)
-        if link.friction is None and len(spanned) and float(spanned[:, 2].min()) - floor < _TOUCHES:
+        if link.friction is not None or (link.name in turning and not grips):
+            continue
+        if len(spanned) and float(spanned[:, 2].min()) - floor < _TOUCHES:
             frictions[link.name] = _GRIP if link.name in turning else 0.0
     if frictions:
         values["friction"] = frictions
