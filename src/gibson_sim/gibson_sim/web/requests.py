@@ -281,6 +281,14 @@ def _time(fields: _Fields) -> Time:
     return Time(action, int(fields.number("steps", MAX_STEPS, 1.0)) if action == "step" else 1)
 
 
+def _spawn(fields: _Fields) -> Spawn:
+    return Spawn(fields.text("uri"), *fields.pose(), fields.height())
+
+
+def _move(fields: _Fields) -> Move:
+    return Move(fields.text("name"), *fields.pose(), fields.height())
+
+
 _READERS: dict[str, Any] = {
     "watch": lambda f: Watch(f.texts("topics", MAX_VIDEOS)),
     "shown": lambda f: Shown(f.text("topic")),
@@ -291,8 +299,8 @@ _READERS: dict[str, Any] = {
     "initial_pose": lambda f: _goal("initial_pose", f),
     "time": _time,
     "rate": lambda f: Rate(f.number("value", MAX_RATE, 0.0)),
-    "spawn": lambda f: Spawn(f.text("uri"), *f.pose(), f.height()),
-    "move": lambda f: Move(f.text("name"), *f.pose(), f.height()),
+    "spawn": _spawn,
+    "move": _move,
     "delete": lambda f: Delete(f.text("name")),
     "plot": lambda f: Plot(f.curves()),
     "fields": lambda f: Fields(f.text("topic")),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.uris import UriResolver
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import is_file
+from gibson_sim.reading import is_file, parse_xml
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
 from gibson_sim.scenes.sdf.elements import (
     F64,
@@ -345,9 +344,9 @@ def builtin_model(uri: str) -> str:
     return name if name in ("sun", "ground_plane") else ""
 
 
-GROUND_PLANE = ElementTree.fromstring(
-    '<model name="ground_plane"><static>true</static><link name="link"><collision name="collision"><geometry><plane/></geometry>'
-    "</collision></link></model>"
+GROUND_PLANE = parse_xml(
+    b'<model name="ground_plane"><static>true</static><link name="link"><collision name="collision"><geometry><plane/></geometry>'
+    b"</collision></link></model>"
 )
 """The ground plane of Gazebo."""
 
