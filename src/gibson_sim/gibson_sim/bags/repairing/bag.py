@@ -131,6 +131,8 @@ def repair(folder: str | Path) -> Repair:
         if not is_listed:
             if (folder / METADATA_FILE).exists():
                 notes.append(f"{METADATA_FILE}: written anew; the file as it was is kept as {_keep(folder / METADATA_FILE)}")
+            else:
+                notes.append(f"{METADATA_FILE}: was missing, written")
             _write_metadata(folder, storage, contents, information)
         lost = _lost(repairs, information)
         proven = not lost and _listed_counts(information) is not None

@@ -318,6 +318,19 @@ class _Scanner:
             position += RECORD.size + head[1]
         return True
 
+    def _is_damaged_head(self, position: int) -> bool:
+        """Returns whether the head of a record is at an offset, but for one bit: it would then lead to the next sound record."""
+        head, following = self._read(position, RECORD.size), self._next(position + 1)
+        if len(head) < RECORD.size:
+            return False
+        for bit in range(8 * RECORD.size):
+            changed = bytearray(head)
+            changed[bit // 8] ^= 1 << bit % 8
+            opcode, length = RECORD.unpack(changed)
+            if _FIRST <= opcode <= _LAST and position + RECORD.size + length == following:
+                return True
+        return False
+
     def _next(self, position: int) -> int:
         """Returns the offset of the next sound record that can be told from the inside of a damaged one; else the end of the file."""
         while position < self._size:
@@ -473,7 +486,7 @@ class _Scanner:
 
     def _take_message(self, position: int, length: int, end: int) -> int:
         """Takes a message outside of chunks."""
-        if length < MESSAGE.size or not self._follows(end):
+        if length < MESSAGE.size or not (self._follows(end) or self._is_damaged_head(end)):
             raise _Broken("a damaged message outside of chunks")
         channel, _, log_time, _ = MESSAGE.unpack(self._read(position + RECORD.size, MESSAGE.size))
         run = self._run
