@@ -31,3 +31,16 @@ def test_flipped_bit_loses_nothing_outside_of_the_part_that_it_hits(kind: str, t
         result = repair(bag)
         found += [f"{path.name}, bit {bit}: {fault}" for fault in faults(tmp_path / "whole", bag, result, kind, path.name, bit)]
     assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("byte", [0, 3, 9, 17, 26, -4096 - 24, -4096 - 18, -4096 - 10, -100])
+def test_bit_in_the_head_or_the_last_page_of_a_write_ahead_log_loses_no_message(byte: int, tmp_path: Path) -> None:
+    """SQLite gives up the whole log, or the last transaction, which here is all that was recorded."""
+    kind, name = "sqlite3 with a log", "bag_0.db3-wal"
+    KINDS[kind].write(tmp_path / "whole", Random(1))
+    shutil.copytree(tmp_path / "whole", tmp_path / "bag")
+    bit = 8 * (byte % (tmp_path / "bag" / name).stat().st_size)
+    flip(tmp_path / "bag" / name, bit)
+    result = repair(tmp_path / "bag")
+    assert result.messages == 60
+    assert faults(tmp_path / "whole", tmp_path / "bag", result, kind, name, bit) == []

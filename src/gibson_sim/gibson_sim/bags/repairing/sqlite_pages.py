@@ -283,12 +283,13 @@ class DatabasePages:
         if len(head) < 32:
             return
         magic, _, size, _, *salts = struct.unpack_from(">6I", head)
-        if magic not in _LOG_MAGIC or size != self.page_size:
+        order = ">" if magic == _LOG_MAGIC[1] else "<"
+        checksum = struct.unpack_from(">2I", head, 24)
+        if magic not in _LOG_MAGIC or size != self.page_size or _checksum(order, head[:24], (0, 0)) != checksum:
             self.log_is_whole = False
-            self.notes.append("the write-ahead log does not begin like one: it is left out")
-            return
-        order = ">" if magic & 1 else "<"
-        checksum = _checksum(order, head[:24], (0, 0))
+            self.notes.append("the head of the write-ahead log is damaged")
+            size = self.page_size
+            salts = list(struct.unpack(">2I", os.pread(self._log, 8, 40).ljust(8, b"\0")))  # those of the first page
         waiting: dict[int, int] = {}
         odd: list[int] = []
         damaged, offset = 0, 32
@@ -313,6 +314,11 @@ class DatabasePages:
                 odd.append(offset + 24)
             checksum = stored
             offset += 24 + size
+        if odd:
+            # The mark that the last transaction is finished may be what is damaged.
+            self._in_log.update(waiting)
+            self._extra += odd
+            waiting = {}
         if damaged:
             self.log_is_whole = False
             self.notes.append(f"{damaged} pages of the write-ahead log are damaged: what can be read of them is used, unchecked")
