@@ -321,6 +321,18 @@ def test_a_model_of_fuel_that_is_not_downloaded_is_named_with_the_command(tmp_pa
     assert warned(scene.warnings, f"gz fuel download -u '{URL} B'")
 
 
+@rule(FORMAT, "mesh/uri: https://fuel...", "left out", "a file that is not in the cache; one warning for all meshes of its model")
+def test_meshes_of_a_model_that_is_not_downloaded_are_named_once(tmp_path: Path) -> None:
+    visuals = "".join(
+        f'<visual name="v{k}"><geometry><mesh><uri>{URL}/3/files/meshes/{k}.obj</uri></mesh></geometry></visual>'
+        for k in range(3)
+    )
+    models = "".join(f'<model name="m{k}"><static>true</static><link name="l">{visuals}{VISUAL}</link></model>' for k in range(2))
+    named = [line for line in world(tmp_path, models).warnings if "Chair" in line]
+    assert len(named) == 1
+    assert f"gz fuel download -u {URL}/3`; its meshes are left out" in named[0]
+
+
 @rule(FORMAT, "mesh/uri: https://fuel...", "done")
 def test_a_mesh_of_fuel_comes_from_the_cache(tmp_path: Path, fuel: Callable[[str, int, str], None]) -> None:
     fuel("chair", 3, '<link name="l"/>')

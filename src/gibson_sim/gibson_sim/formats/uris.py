@@ -46,12 +46,22 @@ def cached_models(uri: str) -> Iterator[Path]:
         yield from _cached("*", "*", name, inner=inner)
 
 
+def fuel_model(uri: str) -> str:
+    """Returns the URL of the model on Fuel that a URI names, or that has the file that it names, with its version; "" for other URIs."""
+    found = _FUEL_URL.fullmatch(uri)
+    if found is None:
+        return ""
+    last = found.start(5) if found[5] is not None else len(uri)
+    return re.sub(r"(/files)?/?$", "", uri[:last], flags=re.IGNORECASE)
+
+
 def missing_from_cache(uri: str) -> str:
     """Returns what to do about a model of Fuel that is in none of Gazebo's caches, as the end of a sentence; "" for other URIs."""
-    if not _FUEL_URL.fullmatch(unquote(uri)):
+    model = fuel_model(unquote(uri))
+    if not model:
         return ""
     folder = next((str(folder) for folder in fuel_caches()), _FUEL_CACHES[0][1])
-    return f"is not in Gazebo's cache, {folder}: download it with `gz fuel download -u {shlex.quote(uri)}`"
+    return f"is not in Gazebo's cache, {folder}: download it with `gz fuel download -u {shlex.quote(model)}`"
 
 
 def _cached(server: str, owner: str, name: str, version: str = "", inner: str = "") -> Iterator[Path]:

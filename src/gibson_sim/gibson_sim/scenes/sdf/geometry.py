@@ -11,7 +11,7 @@ from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.description.shapes import Shape, ShapeKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.mesh import UpAxis
-from gibson_sim.formats.uris import UriResolver
+from gibson_sim.formats.uris import UriResolver, fuel_model
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.sdf.elements import F64, Element, numbers, pose_matrix, text_of
@@ -92,7 +92,14 @@ class SdfShapes:
         path = self.uris.find(uri, scope.base) if uri else None
         if path is None:
             reason = self.uris.reason_missing(uri) if uri else "does not exist"
-            self.builder.warn(f"{where}: mesh {uri or '(without a uri)'} {reason}; left out", OmissionKind.MISSING_ASSET)
+            model = fuel_model(uri)
+            # One line for all meshes of a model, wherever they stand.
+            text = (
+                f"model {model} {reason}; its meshes are left out"
+                if model
+                else f"{where}: mesh {uri or '(without a uri)'} {reason}; left out"
+            )
+            self.builder.warn(text, OmissionKind.MISSING_ASSET)
             return
         text_of_scale = element.findtext("scale") or "1 1 1"
         scale = numbers(text_of_scale, (3,)) or [0.0]
