@@ -445,6 +445,13 @@ def test_limits_that_are_swapped_are_named() -> None:
     )
 
 
+@rule("URDF", "revolute joint with limits beyond 1000 rad", "approximated", "continuous: wheels are often described so")
+def test_a_joint_with_limits_that_it_never_reaches_is_continuous() -> None:
+    model = pair("revolute", '<limit lower="-1e16" upper="1e16" effort="3" velocity="4"/>')
+    assert (model.joints[0].kind, model.joints[0].is_bounded, model.joints[0].effort) == ("continuous", False, 3.0)
+    assert model.warnings == ("r.urdf: revolute joints with limits beyond 1000 rad are continuous: 'j'",)
+
+
 @rule(
     "URDF",
     "<limit> without effort or velocity, or with 0",

@@ -150,6 +150,15 @@ FOUR_JOINTS = "".join(f"<{corner}_joint>{corner}_wheel_joint</{corner}_joint>" f
     ("inner", "sign"),
     [
         (gazebo("libgazebo_ros_planar_move.so", ""), "Gazebo's plugin libgazebo_ros_planar_move.so"),
+        (
+            "<ros2_control><parameters>config/mecanum_drive.yaml</parameters></ros2_control>",
+            "config/mecanum_drive.yaml in <parameters>",
+        ),
+        (
+            '<link name="w"><visual><geometry><mesh filename="mecanum_a.stl"/></geometry></visual></link>'
+            + joint("w", "base_link", "0 0 0", kind="fixed"),
+            "the name of a missing mesh",
+        ),
         (gazebo("gz-sim-mecanum-drive-system", FOUR_JOINTS), "Gazebo's plugin gz-sim-mecanum-drive-system"),
         (
             '<link name="mecanum_base"/>' + joint("mecanum_base", "base_link", "0 0 0", kind="fixed"),
@@ -170,23 +179,35 @@ def test_four_wheels_of_which_nothing_says_that_they_are_mecanum_are_a_skid_stee
     assert line.endswith("(they do not steer, and nothing says that they are mecanum)")
 
 
-def test_four_wheels_of_which_those_across_the_corners_look_alike_are_mecanum_wheels(tmp_path: Path) -> None:
-    """Mecanum wheels come in two hands; wheels of a skid steer differ at most by their side."""
+def test_meshes_that_are_equal_across_the_corners_are_pointed_out(tmp_path: Path) -> None:
+    """Mecanum wheels come in two hands, but tyres with treads do, too."""
     path = written(tmp_path, "")
     for name in ("a.obj", "b.obj"):
         (tmp_path / name).write_text((tmp_path / "wheel.obj").read_text())
     look = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
-    for hands, is_mecanum in (("abba", True), ("abab", False), ("aabb", False), ("aaaa", False)):
+    corners = [("front_left", 0.1, 0.2), ("front_right", 0.1, -0.2), ("rear_left", -0.1, 0.2), ("rear_right", -0.1, -0.2)]
+    for hands, crossed in (("abba", True), ("abab", False), ("aabb", False), ("aaaa", False)):
         inner = "".join(
             wheel(f"{corner}_wheel", f"{x} {y} 0").replace("</link>", look.format(f"{hand}.obj") + "</link>")
-            for hand, (corner, x, y) in zip(
-                hands, [("front_left", 0.1, 0.2), ("front_right", 0.1, -0.2), ("rear_left", -0.1, 0.2), ("rear_right", -0.1, -0.2)],
-                strict=True,
-            )
-        )  # fmt: skip
+            for hand, (corner, x, y) in zip(hands, corners, strict=True)
+        )
         path.write_text(f'<robot name="bot">{BODY.format("base_link", 0.1)}{inner}</robot>')
-        drive = load_robot(path).drive
-        assert drive is not None and (drive.kind == "omni") == is_mecanum, hands
+        derived = derive_file(path, mesh_points())
+        assert derived.values["drive"]["type"] == "skid_steer"
+        assert any("as of mecanum wheels" in guess.by_hand for guess in derived.guesses) == crossed, hands
+
+
+def test_friction_along_a_diagonal_is_pointed_out(tmp_path: Path) -> None:
+    friction = '<gazebo reference="front_left_wheel"><fdir1>1 -1 0</fdir1></gazebo>'
+    derived = derive_file(written(tmp_path, pair(0.1) + pair(-0.1) + friction))
+    assert derived.values["drive"]["type"] == "skid_steer"
+    assert any(guess.by_hand.startswith("drive.type: their friction is along a diagonal") for guess in derived.guesses)
+
+
+def test_wheels_with_limits_that_no_wheel_reaches_drive(tmp_path: Path) -> None:
+    limit = '<limit lower="-1e16" upper="1e16" effort="10" velocity="9"/></joint>'
+    text = pair(0.1).replace('"continuous"', '"revolute"').replace("</joint>", limit)
+    assert derive_file(written(tmp_path, text)).values["drive"]["type"] == "differential"
 
 
 def rollers(wheel_name: str, degrees: float, count: int = 8) -> str:

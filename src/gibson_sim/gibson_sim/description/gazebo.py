@@ -6,6 +6,7 @@ These elements are optional, and written for other programs: malformed ones are 
 from __future__ import annotations
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
 from typing import Literal
@@ -23,6 +24,10 @@ _SENSORS: dict[str, SensorKind] = {
     "ray": "lidar", "gpu_ray": "lidar", "lidar": "lidar", "gpu_lidar": "lidar", "imu": "imu",
 }  # fmt: skip
 """Value of ``<sensor type="...">`` of Gazebo Classic or Gazebo -> kind."""
+MECANUM = re.compile(r"mecanum|mechanum", re.IGNORECASE)
+"""Pattern of names of parts of robots with mecanum wheels."""
+_OBLIQUE = 0.5
+"""Minimum ratio of the components x and y of a diagonal."""
 _MOST_FRICTION = 1.5
 """Maximum friction; larger values are clamped: wheels often have 100 or more."""
 _FRICTIONS = ("mu1", "mu2")
@@ -85,6 +90,10 @@ class GazeboTags:
     sensors: tuple[GazeboSensor, ...] = ()
     """Sensors in the order of the file, without kinds that are not simulated."""
     drive: GazeboDrive | None = None
+    mecanum: str = ""
+    """What says that the robot has mecanum wheels: a word in a plugin or controller; empty = nothing."""
+    oblique: bool = False
+    """Whether any friction is along a diagonal (``<fdir1>``), as of mecanum wheels and of some that are none."""
 
 
 def read_gazebo(top: ET.Element) -> GazeboTags:
@@ -103,7 +112,28 @@ def read_gazebo(top: ET.Element) -> GazeboTags:
             sensors += [sensor for item in element.iter("sensor") if (sensor := _sensor(item, link)) is not None]
         for plugin in element.iter("plugin"):
             drive = drive or _drive(plugin, joints)
-    return GazeboTags(frictions, tuple(sensors), drive)
+    return GazeboTags(frictions, tuple(sensors), drive, _mecanum(top), _is_oblique(top))
+
+
+def _is_oblique(top: ET.Element) -> bool:
+    """Returns whether the first direction of friction is a diagonal, in any link."""
+    for element in (item for parent in top.iter("gazebo") for item in parent.iter("fdir1")):
+        direction = [abs(_value(part) or 0.0) for part in (element.text or "").split()]
+        if len(direction) == 3 and min(direction[:2]) > _OBLIQUE * max(direction):
+            return True
+    return False
+
+
+def _mecanum(top: ET.Element) -> str:
+    """Returns what says that wheels are mecanum wheels; empty = nothing."""
+    for element in (
+        item for tag in ("gazebo", "ros2_control", "transmission") for parent in top.iter(tag) for item in parent.iter()
+    ):
+        tag = element.tag.rpartition("}")[2]
+        for text in (element.text or "", *element.attrib.values()):
+            if MECANUM.search(text):
+                return f"{clipped(text.strip(), 60)} in <{clipped(tag, 40)}>"
+    return ""
 
 
 def gazebo_left_out(top: ET.Element, source: str) -> list[str]:

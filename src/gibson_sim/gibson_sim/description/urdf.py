@@ -31,6 +31,8 @@ __all__ = [
     "JOINT_TYPES", "FindMesh", "Inertial", "UrdfCollision", "UrdfJoint", "UrdfLink", "UrdfModel", "UrdfVisual", "parse_urdf", "read_urdf",
 ]  # fmt: skip
 
+_ENDLESS = 1000.0
+"""Limit of a joint beyond which it turns without end, rad: wheels are often described as revolute joints with limits of 1e16."""
 FindMesh = Callable[[str, Path], Path | None]
 """Function that returns the absolute path of a mesh, given its name and the path of the URDF, or None if it does not exist."""
 
@@ -257,6 +259,9 @@ class _Reader:
                         "joints whose lower limit is above the upper one move without limits, from 0; are they swapped?",
                         f"{quoted(name)} ({lower:g} to {upper:g})",
                     )
+                elif kind == "revolute" and lower <= -_ENDLESS and upper >= _ENDLESS:
+                    self.remark(f"revolute joints with limits beyond {_ENDLESS:g} rad are continuous", quoted(name))
+                    kind, lower, upper = "continuous", 0.0, -1.0
             elif {"lower", "upper"} & limit.attrib.keys() and kind == "continuous":
                 self.remark("continuous joints have no position limits; lower and upper are left out", quoted(name))
             if kind != "fixed" and 0.0 in (effort, velocity):

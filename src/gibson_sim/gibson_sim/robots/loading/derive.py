@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from gibson_sim.description.extents import MeshPoints, link_points, rigid_links
+from gibson_sim.description.gazebo import MECANUM
+from gibson_sim.description.omissions import OmissionKind, kind_of
 from gibson_sim.description.rigid_groups import MOVING_TYPES, rigid_groups
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import RobotError
@@ -43,7 +45,8 @@ _GRIP = 1.0
 """Coulomb friction of driven wheels."""
 _MAX_STEERING_DEG = 30.0
 """Default steering limit of joints without limits, degrees."""
-_MECANUM = re.compile(r"mecanum|mechanum", re.IGNORECASE)
+_MECANUM = re.compile(MECANUM.pattern + r"|omni_?wheel", re.IGNORECASE)
+"""Pattern of names of four wheels side by side that go sideways."""
 _MECANUM_DEG = (45, -45, -45, 45)
 """``roller_deg`` of mecanum wheels that can turn the robot: rear left, rear right, front left, front right."""
 _LEAST_ROLLER_DEG = 15.0
@@ -187,6 +190,11 @@ def _derive_drive(
         )
         guesses.append(Guess("drive", text, "separation_factor", hand))
         _note_steering(model, measured, guesses)
+        crossed = "wheels across the corners have the same mesh" if _crossed_meshes(model, measured) else ""
+        similar = "their friction is along a diagonal" if model.gazebo.oblique else crossed
+        if similar:
+            why = f"{similar}, as of mecanum wheels: if they are, drive.type is omni"
+            guesses.append(Guess("drive", f"skid_steer; {why}", "type", f"drive.type: {why}"))
     if drive["type"] == "ackermann":
         pins = f"{used[1].left.swivel.name}, {used[1].right.swivel.name}"  # type: ignore[union-attr]
         guesses.append(Guess("drive", f"{pins}, {used[1].x - used[0].x:.4g} m in front", "steering"))
@@ -336,16 +344,20 @@ def _mecanum_sign(model: UrdfModel, pairs: Sequence[Pair]) -> str:
         found = next((name for name in names if _MECANUM.search(name)), None)
         if found is not None:
             return f"the name of {what} {quoted(found)}"
-    drawn = [_drawn_wheel(model, wheel) for wheel in wheels]
-    if len(drawn) == 4 and all(drawn) and drawn[0] == drawn[3] != drawn[1] == drawn[2]:
-        return "wheels across the corners have the same mesh, those beside each other have not"
-    return ""
+    missing = next(
+        (line for line in model.warnings if kind_of(line) is OmissionKind.MISSING_ASSET and _MECANUM.search(line)), None
+    )
+    return model.gazebo.mecanum or ("" if missing is None else "the name of a missing mesh")
 
 
-def _drawn_wheel(model: UrdfModel, wheel: Wheel) -> tuple[tuple[str, bool], ...]:
-    """Returns the mesh files of a wheel, each with whether it is mirrored."""
-    shapes = [visual.shape for name in rigid_links(model, wheel.joint.child) for visual in model.link(name).visuals]
-    return tuple((shape.mesh, math.prod(shape.size) < 0.0) for shape in shapes if shape.mesh)
+def _crossed_meshes(model: UrdfModel, wheels: Sequence[Wheel]) -> bool:
+    """Returns whether wheels across the corners have the same mesh, and those beside each other have not, as mecanum wheels of two hands."""
+    drawn = [
+        tuple((visual.shape.mesh, math.prod(visual.shape.size) < 0.0) for name in rigid_links(model, wheel.joint.child)
+              for visual in model.link(name).visuals if visual.shape.mesh)
+        for wheel in wheels
+    ]  # fmt: skip
+    return len(drawn) == 4 and all(drawn) and drawn[0] == drawn[3] != drawn[1] == drawn[2]
 
 
 def _mecanum_drive(model: UrdfModel, pairs: Sequence[Pair], sign: str) -> dict[str, Any]:
