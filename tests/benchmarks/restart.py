@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 import time
@@ -23,7 +24,7 @@ from gibson_sim_bench import timing
 from support.simulation import Launched, Listener, new_context
 
 IMAGE = "camera/image_raw"
-USUAL = "<healthy_check_timeout_ms>1000<"
+TIMEOUT = re.compile(r"(?<=<healthy_check_timeout_ms>)\d+")
 
 
 def seconds_without_images(scene: str) -> float:
@@ -58,12 +59,12 @@ def main() -> None:
     args = parser.parse_args()
     apply_reach(os.environ, LOCAL)
     usual = profile_of(LOCAL).read_text(encoding="utf-8")
-    assert USUAL in usual, f"{profile_of(LOCAL)} has another form than this program knows"
+    assert TIMEOUT.search(usual), f"{profile_of(LOCAL)} has another form than this program knows"
     found: dict[int, list[float]] = {}
     for milliseconds in args.milliseconds:
         with TemporaryDirectory() as folder:
             profile = Path(folder) / "fastdds.xml"
-            profile.write_text(usual.replace(USUAL, f"<healthy_check_timeout_ms>{milliseconds}<"), encoding="utf-8")
+            profile.write_text(TIMEOUT.sub(str(milliseconds), usual), encoding="utf-8")
             os.environ[PROFILE_VARIABLE] = str(profile)
             found[milliseconds] = [round(seconds_without_images(args.scene), 2) for _ in range(args.repeat)]
         print(f"{milliseconds} ms: {found[milliseconds]} s", flush=True)

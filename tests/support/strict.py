@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import re
-from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Any
 
 VARIABLE = "GIBSON_SIM_STRICT"
@@ -15,9 +13,9 @@ VARIABLE = "GIBSON_SIM_STRICT"
 FAILURES_VARIABLE = "GIBSON_SIM_TEST_FAILURES"
 """Names a file to which each run appends its failures, one line each: ``make test`` makes two runs and shows them all at its end."""
 ALLOWED_SECOND_ATTEMPTS = 3
-"""Of the 620 tests with nodes, so many may need a second attempt in one run, since a machine that stalls makes nodes deaf (docs/ros_interfaces.md,
-known limits). The first failures are printed all the same; a test that fails again and again fails its second attempt, too."""
-FLAKY_LIST = Path(__file__).resolve().parents[1] / "flaky.txt"
+"""Of the 620 tests with nodes, so many may need a second attempt in one run, since a machine may stall for longer than DDS waits
+(docs/ros_interfaces.md, known limits). The first failures are printed all the same; a test that fails again and again fails its second
+attempt, too."""
 MAY_BE_MISSING = {
     "graphics card": r"\bGPU\b|CUDA|graphics card|nvidia|UUIDs of their own",
     "PyTorch, CuPy and JAX": r"no (PyTorch|CuPy|JAX)\b|could not import '(torch|cupy|jax)'",
@@ -33,14 +31,6 @@ def refused_skip(reason: str) -> bool:
     return not any(re.search(pattern, reason) for pattern in MAY_BE_MISSING.values())
 
 
-def known_flaky() -> dict[str, str]:
-    """Returns the tests that may need a second attempt, each with the reason: lines ``<node id or pattern>  # <reason>`` of ``tests/flaky.txt``."""
-    lines = (line.partition("  # ") for line in FLAKY_LIST.read_text(encoding="utf-8").splitlines())
-    found = {test.strip(): reason.strip() for test, _, reason in lines if test.strip() and not test.startswith("#")}
-    assert all(found.values()), f"each line of {FLAKY_LIST.name} needs its reason: <node id>  # <reason>"
-    return found
-
-
 def faults(stats: dict[str, list[Any]]) -> list[str]:
     """Returns what a strict run refuses of all that happened, one line each.
 
@@ -52,10 +42,7 @@ def faults(stats: dict[str, list[Any]]) -> list[str]:
         reason = str(report.longrepr[-1]) if isinstance(report.longrepr, tuple) else str(report.longrepr)
         if refused_skip(reason):
             found.append(f"{report.nodeid} was skipped although this machine can run it: {reason}")
-    flaky = known_flaky()
-    again = [
-        report.nodeid for report in stats.get("rerun", ()) if not any(fnmatchcase(report.nodeid, pattern) for pattern in flaky)
-    ]
+    again = [report.nodeid for report in stats.get("rerun", ())]
     if len(again) > ALLOWED_SECOND_ATTEMPTS:
         found += [
             f"{test} needed a second attempt, as {len(again)} tests did, at most {ALLOWED_SECOND_ATTEMPTS} may: mend it"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import fcntl
 import mmap
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -45,8 +46,44 @@ def test_folders_and_links_of_such_names_are_left_alone(tmp_path: Path, monkeypa
     assert precious.read_text() == "to be kept"
 
 
+def _write_port(path: Path, *nodes: tuple[int, ...]) -> None:
+    """Writes a port with nodes: number, listeners, timeout and a third of it in ms, capacity, waiting listeners, flags."""
+    path.write_bytes(bytes(1000) + b"".join(struct.pack("<7I", *node) for node in nodes) + bytes(1000))
+
+
+def test_port_of_a_dead_reader_is_marked_as_unusable_for_its_writers_and_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its writers then open the port of the reader that takes its place, and do not remove it by name."""
+    port, lock = tmp_path / "fastrtps_port7003", tmp_path / "fastrtps_port7003_el"
+    _write_port(port, (7003, 1, 10_000, 3333, 512, 1, 0b111))
+    lock.touch()
+    monkeypatch.setattr(shared_memory, "SETTLED_S", 0.0)
+    with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as segment:
+        with lock.open("r+") as reader:
+            fcntl.flock(reader, fcntl.LOCK_EX)
+            assert remove_dead_segments(tmp_path) == []
+            assert struct.unpack_from("<I", segment, 1024) == (0b111,), "its reader runs"
+        assert remove_dead_segments(tmp_path) == [port]
+        assert struct.unpack_from("<I", segment, 1024) == (0b110,)
+
+
+def test_port_whose_mark_is_not_unique_is_left_alone(tmp_path: Path) -> None:
+    port = tmp_path / "fastrtps_port7003"
+    node = (7003, 1, 10_000, 3333, 512, 1, 0b111)
+    _write_port(port, node, node)
+    before = port.read_bytes()
+    assert not shared_memory.mark_unusable(port)
+    assert port.read_bytes() == before
+    for other in ((7004, *node[1:]), (*node[:3], 3000, *node[4:]), (*node[:6], 0b1111)):
+        _write_port(port, other)
+        assert not shared_memory.mark_unusable(port)
+    assert not shared_memory.mark_unusable(tmp_path / "fastrtps_portal")
+    assert not shared_memory.mark_unusable(tmp_path / "fastrtps_port7005"), "it is gone"
+
+
 def test_port_with_a_writer_stays_until_it_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last process to close a port removes it by name: by then this could be the port of another process."""
+    """The last process to close a port removes it by name: by then this could be the port of another process. Here the mark is not found."""
     port, lock = tmp_path / "fastrtps_port7003", tmp_path / "fastrtps_port7003_el"
     port.write_bytes(bytes(4096))
     lock.touch()
@@ -61,7 +98,7 @@ def test_locks_are_not_tried_while_a_process_may_acquire_them(tmp_path: Path, mo
     tried: list[Path] = []
     for name in ("fastrtps_port7003", "fastrtps_port7003_el", "fastrtps_new", "fastrtps_new_el"):
         (tmp_path / name).touch()
-    monkeypatch.setattr(shared_memory, "_remove", lambda guarded, lock: tried.append(lock) or [])
+    monkeypatch.setattr(shared_memory, "_remove", lambda guarded, lock, port: tried.append(lock) or [])
     with (tmp_path / "fastrtps_port7003_el").open("r+") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         assert shared_memory._sweep(tmp_path) == ([], True), "the one is held, the other too young"

@@ -8,20 +8,31 @@ A starting participant fails if we hold its lock even for an instant, and a part
 Therefore we read the kernel's list of locks first, try a lock only if no process holds it and it is not new, hold it while removing
 the files that it guards, and keep the lock file of a port, which is reused.
 
-A port without a reader is kept while a running process has it open for writing. The last process to close a port removes it *by name*: had we
-removed it earlier, this would be the new port of a process with the same number, which would receive no more messages.
+A port of a dead reader may be open for writing in running processes, which would write into it for ever, and the last of which would remove
+it *by name*: this would then be the new port of a process with the same number. Before it is removed, such a port is therefore marked as
+unusable in its segment, as Fast DDS itself does after ``healthy_check_timeout_ms`` without a sign of its reader: the others then open the new
+port at their next message, and remove nothing. A port in which the mark is not found is kept, and is replaced after this time.
 """
 
 from __future__ import annotations
 
 import fcntl
+import mmap
 import os
+import struct
 import time
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
 SETTLED_S = 1.0
 """Age below which a port without a lock file may still get one, seconds."""
+_NODE = struct.Struct("<7I")
+"""Consecutive fields of the node of a port: number of the port, number of listeners, timeout of the health check and period of its signs (a
+third of it), ms, capacity, number of waiting listeners, flags."""
+_IS_OK, _ALL_FLAGS = 1, 7
+"""Flags of a port: usable; all that are known."""
+_SEARCHED_BYTES = 1 << 16
+"""Size of the beginning of a port's segment in which its node is searched, bytes."""
 
 
 def remove_dead_segments(folder: Path = FOLDER, *, wait: bool = True) -> list[Path]:
@@ -47,17 +58,24 @@ def _sweep(folder: Path) -> tuple[list[Path], bool]:
             continue
         else:
             guarded = [base, mutex] if is_port else [base, lock]
-        if not any(path.exists() for path in guarded) or (is_port and _file_of(base) in mapped):
+        is_open = is_port and _file_of(base) in mapped
+        if not any(path.exists() for path in guarded) or (is_open and not lock.exists()):
             continue
         if max(_changed_s(base), _changed_s(lock)) > time.time() - SETTLED_S:
             young = True
         else:
-            removed += _remove(guarded, lock)
+            removed += _remove(guarded, lock, base if is_open else None)
     return removed, young
 
 
-def _remove(guarded: list[Path], lock: Path) -> list[Path]:
-    """Removes files while holding the lock that guards them, if any; returns the removed files, none if the lock is held."""
+def _remove(guarded: list[Path], lock: Path, open_port: Path | None) -> list[Path]:
+    """Removes files while holding the lock that guards them, if any; returns the removed files, none if the lock is held.
+
+    Args:
+        guarded: files to remove.
+        lock: file of the lock.
+        open_port: port that others have open, which must be marked as unusable first; None = there is none.
+    """
     try:
         descriptor = os.open(lock, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     except FileNotFoundError:
@@ -66,11 +84,50 @@ def _remove(guarded: list[Path], lock: Path) -> list[Path]:
         return []
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if open_port is not None and not mark_unusable(open_port):
+            return []
         return [path for path in guarded if _unlink(path)]
     except OSError:
         return []
     finally:
         os.close(descriptor)
+
+
+def mark_unusable(port: Path) -> bool:
+    """Marks a port of a dead reader as unusable for all processes that have it open; returns whether its mark was found.
+
+    The place of the mark depends on the version of Fast DDS: it is found by the values beside it, and is left alone if it is not unique.
+    """
+    number = port.name.rpartition("_port")[2]
+    if not number.isdigit():
+        return False
+    try:
+        with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as segment:
+            places = [
+                at
+                for at in range(0, min(len(segment), _SEARCHED_BYTES) - _NODE.size + 1, 4)
+                if _is_node(_NODE.unpack_from(segment, at), int(number))
+            ]
+            if len(places) != 1:
+                return False
+            at = places[0] + _NODE.size - 4
+            (flags,) = struct.unpack_from("<I", segment, at)
+            struct.pack_into("<I", segment, at, flags & ~_IS_OK)
+            return True
+    except (OSError, ValueError):  # another user's, or empty
+        return False
+
+
+def _is_node(values: tuple[int, ...], number: int) -> bool:
+    port, listeners, timeout_ms, period_ms, capacity, waiting, flags = values
+    return (
+        port == number
+        and period_ms == timeout_ms // 3
+        and timeout_ms > 0
+        and capacity > 0
+        and max(listeners, waiting) <= _SEARCHED_BYTES
+        and flags <= _ALL_FLAGS
+    )
 
 
 def _unlink(path: Path) -> bool:
