@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from conformance.rules import rule
+from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.uris import UriResolver
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, pose_from_xyz_rpy
@@ -20,7 +21,9 @@ from gibson_sim.scenes.sdf.body import SdfBody, SdfBodyReader
 from gibson_sim.scenes.sdf.elements import sdf_version
 from gibson_sim.scenes.sdf.model import SdfModels
 from gibson_sim.scenes.sdf.scopes import Scope
+from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.types import Pose
 
 FORMAT = "SDF"
 QUARTER = "1.5707963267948966"
@@ -1077,3 +1080,13 @@ def test_files_without_a_world_are_refused_in_one_line(tmp_path: Path, text: str
         load_scene(tmp_path / "w.sdf")
     assert "w.sdf" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@rule(FORMAT, "spawned models: https://fuel...", "done", "from Gazebo's cache")
+def test_models_of_fuel_are_spawned_by_their_url(fuel: Callable[[str, int, str], None]) -> None:
+    fuel("chair", 3, f'<link name="l"><inertial><mass>2</mass></inertial>{VISUAL}</link>')
+    thing = load_spawnable(URL, "", name="c", pose=Pose())
+    assert isinstance(thing, BodySpec)
+    assert thing.links == ("l",)
+    with pytest.raises(SceneError, match="gz fuel download -u"):
+        load_spawnable(f"{URL}2", "", name="c", pose=Pose())
