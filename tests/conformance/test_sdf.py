@@ -1090,3 +1090,9 @@ def test_models_of_fuel_are_spawned_by_their_url(fuel: Callable[[str, int, str],
     assert thing.links == ("l",)
     with pytest.raises(SceneError, match="gz fuel download -u"):
         load_spawnable(f"{URL}2", "", name="c", pose=Pose())
+
+
+@rule(FORMAT, "light[type], light/diffuse", "done", "point and white by default")
+def test_a_light_is_white_and_a_point_by_default(tmp_path: Path) -> None:
+    (lamp,) = world(tmp_path, f'<light name="x"><pose>1 2 3 0 0 0</pose></light>{SIMPLE}', lamps=True).light.points
+    assert (lamp.position, lamp.color, lamp.strength) == ((1, 2, 3), (1.0, 1.0, 1.0), 0.25)

@@ -127,15 +127,15 @@ def _light(world: Element, all_lights: list[tuple[Element, F64]], with_lamps: bo
     default = LightSpec()
     ambient_rgb = numbers(world.findtext("scene/ambient"), (3, 4))
     ambient = default.ambient if ambient_rgb is None else float(np.clip(np.mean(ambient_rgb[:3]), 0.0, 1.0))
-    lights = [(light, matrix) for light, matrix in all_lights if text_of(light, "diffuse") and _is_on(light)]
+    lights = [(light, matrix) for light, matrix in all_lights if _is_on(light)]
     lamps: tuple[PointLight, ...] = ()
     if with_lamps:
-        lamps = tuple(filter(None, (_lamp(*light) for light in lights if light[0].get("type") in ("point", "spot"))))
-    elif any(light.get("type") != "directional" for light, _ in lights):
+        lamps = tuple(filter(None, (_lamp(*light) for light in lights if _type(light[0]) in ("point", "spot"))))
+    elif any(_type(light) != "directional" for light, _ in lights):
         # Point and spot lights cast no shadows: each would light the whole house through its walls.
         ambient = max(ambient, default.ambient)
     ambient = max(ambient, _MIN_AMBIENT)
-    sun, T_world_sun = next(((light, T) for light, T in lights if light.get("type") == "directional"), (None, np.eye(4)))
+    sun, T_world_sun = next(((light, T) for light, T in lights if _type(light) == "directional"), (None, np.eye(4)))
     direction, strength, color = default.sun_direction, 0.0 if lamps else default.sun, default.sun_color
     if sun is not None:
         values = numbers(sun.findtext("direction"), (3,))
@@ -154,11 +154,16 @@ def _light(world: Element, all_lights: list[tuple[Element, F64]], with_lamps: bo
 
 def _color_and_strength(light: Element) -> tuple[Vec3, float]:
     """Returns the colour of a light, normalised to a maximum channel of 1, and its strength, 0 to 1."""
-    rgb = [min(max(c, 0.0), 1.0) for c in (numbers(light.findtext("diffuse"), (3, 4)) or [0.8, 0.8, 0.8])[:3]]
+    rgb = [min(max(c, 0.0), 1.0) for c in (numbers(light.findtext("diffuse"), (3, 4)) or [1.0, 1.0, 1.0])[:3]]
     brightest = max(rgb)
     intensity = numbers(light.findtext("intensity"), (1,)) or [1.0]
     mean = sum(rgb) / 3.0 * max(intensity[0], 0.0)
     return ((rgb[0] / brightest, rgb[1] / brightest, rgb[2] / brightest), mean) if brightest > 0.0 else ((1.0, 1.0, 1.0), 0.0)
+
+
+def _type(light: Element) -> str:
+    """Returns the type of a light: point, spot or directional."""
+    return light.get("type", "").strip() or "point"
 
 
 def _is_on(light: Element) -> bool:
@@ -175,7 +180,7 @@ def _lamp(light: Element, matrix: F64) -> PointLight | None:
         return None
     light_range = numbers(light.findtext("attenuation/range"), (1,))
     spot: dict[str, Any] = {}
-    if light.get("type") == "spot":
+    if _type(light) == "spot":
         local_direction = numbers(light.findtext("direction"), (3,))
         direction = matrix[:3, :3] @ (
             local_direction if local_direction is not None and any(local_direction) else [0.0, 0.0, -1.0]
