@@ -14,7 +14,7 @@ import pytest
 
 from conformance.rules import rule
 from gibson_sim.errors import MeshError
-from gibson_sim.formats.load_mesh import load_mesh
+from gibson_sim.formats.load_mesh import MeshLoader, load_mesh
 from gibson_sim.formats.mesh import Material, Mesh, Sampling
 from support.gltf import Gltf, png
 
@@ -376,6 +376,9 @@ def test_missing_texture_coordinates_are_named(tmp_path: Path) -> None:
     gltf = Gltf().triangle(FLAT, material=0)
     gltf.image_material({"bufferView": gltf.view(png((1, 2, 3))), "mimeType": "image/png"})
     assert any("needs TEXCOORD_0" in warning for warning in read(gltf, tmp_path).warnings)
+    assert any(
+        "needs TEXCOORD_0" in warning for warning in MeshLoader([tmp_path], textures=False).mesh(tmp_path / "t.glb").warnings
+    )
 
 
 @rule(FORMAT, "attributes.TANGENT", "approximated", "normal textures are turned by the texture coordinates")
@@ -386,6 +389,7 @@ def test_tangents_are_named(tmp_path: Path) -> None:
     primitive(gltf)["attributes"]["TANGENT"] = gltf.accessor([[1.0, 0, 0, 1]] * 3)
     (warning,) = read(gltf, tmp_path).warnings
     assert "TANGENT is not read" in warning
+    assert MeshLoader([tmp_path], textures=False).mesh(tmp_path / "t.glb").warnings == (warning,)
 
 
 @rule(FORMAT, "attributes.NORMAL (missing)", "done", "flat normals; unlit meshes, where nothing shows them, keep shared vertices")

@@ -352,11 +352,13 @@ class _GltfReader:
             indices = np.arange(count)
         material, uv_set, uv_matrix = self._material_of(primitive)
         uvs = self._attribute(f"TEXCOORD_{uv_set}", attributes, count, 2, targets)
-        if uvs is None and (material.texture is not None or material.has_maps):
+        # Not by the textures of the material, since those are not decoded where only their names matter.
+        maps = self._maps_of(primitive)
+        if uvs is None and maps:
             self.warn(
                 f"{self.path}: material {quoted(material.name)} needs TEXCOORD_{uv_set}; a mesh without it is drawn without textures"
             )
-        if "TANGENT" in attributes and material.normal_texture is not None:
+        if "TANGENT" in attributes and "normalTexture" in maps:
             self.warn(f"{self.path}: TANGENT is not read; normal textures are turned by the texture coordinates")
         if uvs is not None and uv_matrix is not None:
             uvs = uvs @ uv_matrix[:2, :2].T + uv_matrix[:2, 2]
@@ -376,6 +378,15 @@ class _GltfReader:
             vertices, triangles = vertices[corners], np.arange(len(corners)).reshape(-1, 3)
             uvs, colors = (None if array is None else array[corners] for array in (uvs, colors))
         return build_part(str(self.path), vertices, triangles, normals, uvs, material, placed, colors)
+
+    def _maps_of(self, primitive: dict[str, Any]) -> set[str]:
+        """Returns the names of the textures that the material of a primitive is drawn with."""
+        if "material" not in primitive:
+            return set()
+        source = self._item("materials", primitive["material"])
+        colors = {"baseColorTexture"} & set(source.get("pbrMetallicRoughness", {})) | {"diffuseTexture"} & set(_gloss(source))
+        unlit = "KHR_materials_unlit" in source.get("extensions", {})
+        return colors | (set() if unlit else {name for name in _MAPS if _map_info(source, name) is not None})
 
     def _morphed(self, name: str, values: NDArray[Any], targets: _Targets) -> NDArray[Any]:
         """Returns an attribute (V, C) with the weighted displacements of morph targets."""
