@@ -910,6 +910,8 @@ def test_prefixes_need_not_be_declared(tmp_path: Path) -> None:
         ('<frame name="f" attached_to="gone"/>', "", "'gone'"),
         ('<frame name="f" attached_to="g"/><frame name="g" attached_to="f"/>', "", "leads to no link"),
         ("", ' canonical_link="gone"', "canonical link 'gone' does not exist"),
+        ("", ' canonical_link="__model__"', "canonical link '__model__' does not exist"),
+        ('<frame name="f"/>', ' canonical_link="f"', "leads to no link"),
         ('<frame name="f"><pose relative_to="gone"/></frame>', "", "'gone'"),
     ],
 )
@@ -1096,3 +1098,16 @@ def test_models_of_fuel_are_spawned_by_their_url(fuel: Callable[[str, int, str],
 def test_a_light_is_white_and_a_point_by_default(tmp_path: Path) -> None:
     (lamp,) = world(tmp_path, f'<light name="x"><pose>1 2 3 0 0 0</pose></light>{SIMPLE}', lamps=True).light.points
     assert (lamp.position, lamp.color, lamp.strength) == ((1, 2, 3), (1.0, 1.0, 1.0), 0.25)
+
+
+@rule(FORMAT, "pose[relative_to]", "refused", "a chain of many hundreds of frames, the last first")
+def test_a_chain_of_frames_that_is_too_long_is_refused_in_one_line() -> None:
+    frames = "".join(f'<frame name="f{k}"><pose relative_to="f{k + 1}">1 0 0 0 0 0</pose></frame>' for k in range(2000))
+    with pytest.raises(SceneError, match="model m: a chain of frames"):
+        scope(f'<link name="l"/>{frames}<frame name="f2000"/>')
+    found, warnings = scope(
+        '<link name="l"/><frame name="f200"/>'
+        + "".join(f'<frame name="f{k}"><pose relative_to="f{k + 1}">1 0 0 0 0 0</pose></frame>' for k in range(199, -1, -1))
+    )
+    np.testing.assert_allclose(found.pose("f0"), at(200, 0, 0))
+    assert not warnings

@@ -76,12 +76,15 @@ class SdfModels:
             file: its file, which it must not include; None = not a file.
 
         Raises:
-            SceneError: models are nested too deeply, or there are too many.
+            SceneError: models are nested too deeply, there are too many, or a chain of frames is too long.
         """
         files = () if file is None else (Path(os.path.realpath(file)),)
         scope = Scope(element, name, base, version, self.builder.warn, files, is_static=is_true(element.findtext("static")))
         self._fill(scope, 0)
-        scope.check()
+        try:
+            scope.check()
+        except RecursionError as e:
+            raise SceneError(f"{scope.where}: a chain of frames that are relative to each other is too long; shorten it") from e
         return scope
 
     def scope_of_file(self, file: Path, name: str) -> Scope | None:

@@ -209,33 +209,40 @@ class Scope:
 
     # Attachment
 
-    def link_of(self, name: str, seen: frozenset[Frame] = frozenset()) -> tuple[Scope, Element] | None:
-        """Returns the link that a frame is attached to, with its scope; None if there is none."""
+    def link_of(self, name: str, seen: frozenset[Frame | Scope] = frozenset()) -> tuple[Scope, Element] | None:
+        """Returns the link that a frame is attached to, with its scope; None if there is none.
+
+        Args:
+            name: name of the frame.
+            seen: frames and models that are attached to it, to find cycles.
+        """
         if name in ("", MODEL):
-            return self.link_of(self.model_frame, seen) if self.model_frame else self.canonical_link()
+            return self.link_of(self.model_frame, seen) if self.model_frame else self.canonical_link(seen)
         frame = self.frames.get(name)
         if frame is None:
             nested = self._nested(name)
-            return None if nested is None else nested[1].link_of(nested[2])
+            return None if nested is None else nested[1].link_of(nested[2], seen)
         if frame in seen:
             return None
         if frame.element.tag == "link":
             return frame.scope, frame.element
         if frame.inner is not None:
-            return frame.inner.canonical_link()
+            return frame.inner.canonical_link(seen | {frame})
         after = text_of(frame.element, "child") if frame.element.tag == "joint" else frame.element.get("attached_to", "").strip()
         return frame.scope.link_of(after, seen | {frame})
 
-    def canonical_link(self) -> tuple[Scope, Element] | None:
+    def canonical_link(self, seen: frozenset[Frame | Scope] = frozenset()) -> tuple[Scope, Element] | None:
         """Returns the link that the model's frame is attached to: the named one, else the first of its own, else that of the first nested model."""
         named = self.element.get("canonical_link", "").strip()
+        if self in seen:
+            return None
         if named:
-            return self.link_of(named)
+            return self.link_of(named, seen | {self})
         link = self.element.find("link")
         if link is not None:
             return self, link
         for frame in self.nested.values():
-            found = None if frame.inner is None else frame.inner.canonical_link()
+            found = None if frame.inner is None else frame.inner.canonical_link(seen | {self})
             if found is not None:
                 return found
         return None
