@@ -17,7 +17,7 @@ from gibson_sim.trials.foreign_calls import JournalEntry, foreign_calls
 from gibson_sim.trials.judging import judge
 from gibson_sim.trials.records import Outcome, Person, PlacedObject, RunResult
 from gibson_sim.trials.scenario_spec import Scenario
-from support.run_bags import Run, messages, planned, scenario
+from support.run_bags import Run, messages, ns, planned, scenario
 
 ANNA = Person("anna", ((0.0, 0.0), (3.0, 4.0), (3.0, 9.0)), 0.8, 0.25, 1.75)
 RUN = planned(things=(PlacedObject("box", "box_cardboard", (1.0, 1.0, 0.3)),), people=(ANNA,), closed_doors=("way",))
@@ -180,3 +180,11 @@ def test_call_is_the_cause_of_a_run_without_a_goal(tmp_path: Path) -> None:
     result = judged(tmp_path, (1.2, "/unload_world", b"\0\1\0\0\0"), end="never ready", goal_ns=-1)
     assert not result.passed
     assert result.cause is not None and result.cause.kind == "foreign call"
+
+
+def test_pause_that_the_trial_node_received_counts_once_whether_or_not_the_bag_has_it(tmp_path: Path) -> None:
+    told = [[ns(1.2), 9, "/set_simulation_state", state(2).hex()]]
+    for number, calls in enumerate(([], [(1.2, "/set_simulation_state", state(2))])):
+        result = judged(tmp_path / str(number), *calls, end="simulation failed", time_calls=told)
+        assert result.cause is not None and result.cause.kind == "foreign call"
+        assert "called /set_simulation_state (pause); the scenario" in result.cause.text

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,10 +73,11 @@ class ForeignCalls:
     """The requests as a clause with a subject, in the past tense: who called what, and how often."""
 
 
-def foreign_calls(scenario: Scenario, run: RunSpec, outcome: Outcome, entries: Iterable[JournalEntry]) -> ForeignCalls | None:
+def foreign_calls(scenario: Scenario, run: RunSpec, outcome: Outcome, entries: Collection[JournalEntry]) -> ForeignCalls | None:
     """Returns the requests in the journal of a run that the trial did not make and the scenario does not allow; None = there are none."""
     own, allowed = _OwnRequests(run), scenario.stack.allowed_calls
-    in_order = sorted(entries, key=lambda entry: entry.stamp_ns)
+    reported = (JournalEntry(stamp, step, name, bytes.fromhex(data)) for stamp, step, name, data in outcome.time_calls)
+    in_order = sorted([*entries, *(entry for entry in reported if entry not in entries)], key=lambda entry: entry.stamp_ns)
     found = [entry for entry in in_order if entry.kind in CONTROLS and not own.has(entry) and entry.kind not in allowed]
     if not found:
         return None

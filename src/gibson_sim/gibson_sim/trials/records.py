@@ -129,6 +129,9 @@ class Outcome:
     """Latest text on the status topic."""
     callers: dict[str, list[str]] = field(default_factory=dict)
     """Service, action or topic that changes the world or its time -> nodes outside the simulation that had a client or publisher of it."""
+    time_calls: list[list[Any]] = field(default_factory=list)
+    """Requests by which other nodes changed how time passes, as the trial node received them, also if the run ended before the recorder did:
+    stamp (ns), step, name and CDR bytes (hexadecimal) of each."""
     refused_commands: int = 0
     """Number of rejected commands: not finite, or malformed."""
     start_up_s: float = 0.0

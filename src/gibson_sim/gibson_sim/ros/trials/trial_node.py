@@ -71,6 +71,8 @@ _PROGRESS_S = 0.5
 """Period of progress reports, s of wall time."""
 _UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """Name of a node of which only endpoints have been discovered yet."""
+_MAX_TIME_CALLS, _MAX_CALL_BYTES = 20, 1000
+"""Largest number of reported requests that changed how time passes, and largest size of each, bytes."""
 _MAX_CALLERS = 10
 """Largest number of nodes that are noted as callers of one service."""
 CALL_TOPICS = {
@@ -389,6 +391,8 @@ class TrialNode(Node):
         """Ends the run if another node has changed how time passes without a right to: in a paused simulation no tick would end it."""
         stamp_ns = conversions.time_from_msg(msg.header.stamp)
         entry = JournalEntry(stamp_ns, msg.step, msg.name, bytes(msg.data))
+        if len(self._report.time_calls) < _MAX_TIME_CALLS and len(entry.data) <= _MAX_CALL_BYTES:
+            self._report.time_calls.append([entry.stamp_ns, entry.step, entry.name, entry.data.hex()])
         if self._decision is None and entry.kind not in self._plan.allowed_calls:
             self._decision = Decision("simulation failed", f"foreign call: another node called {entry.description}", stamp_ns)
 

@@ -109,6 +109,8 @@ class TrialReport:
     status: str = ""
     callers: dict[str, list[str]] = field(default_factory=dict)
     """See ``records.Outcome.callers``."""
+    time_calls: list[list[Any]] = field(default_factory=list)
+    """See ``records.Outcome.time_calls``."""
     began_s: float = 0.0
     """Time of arrival of the first tick; 0 = none."""
     ended_s: float = 0.0

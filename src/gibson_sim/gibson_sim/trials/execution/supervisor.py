@@ -282,6 +282,7 @@ class _Run:
             exit_code=self._stack_code,
             status=report.status,
             callers=report.callers,
+            time_calls=report.time_calls,
             refused_commands=summary.get("refused_commands", 0),
             start_up_s=round(began_s - self._began_s, 3),
             running_s=round(ended_s - began_s, 3),

@@ -40,7 +40,7 @@ def judge(scenario: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> R
             f"bag {bag} contains invalid values ({type(error).__name__}: {clipped(str(error), _MAX_LENGTH)})",
         )
     digest = "" if evidence is None else evidence.digest
-    foreign = None if evidence is None else foreign_calls(scenario, run, outcome, evidence.calls)
+    foreign = foreign_calls(scenario, run, outcome, () if evidence is None else evidence.calls)
     if evidence is None or outcome.goal_ns < 0:
         why = f"{outcome.end}: {outcome.detail}" if outcome.end in (*NOT_JUDGED, "stack died") or not problem else problem
         if foreign is not None:
