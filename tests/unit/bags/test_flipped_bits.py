@@ -44,3 +44,16 @@ def test_bit_in_the_head_or_the_last_page_of_a_write_ahead_log_loses_no_message(
     result = repair(tmp_path / "bag")
     assert result.messages == 60
     assert faults(tmp_path / "whole", tmp_path / "bag", result, kind, name, bit) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "text", "offset"),
+    [("mcap without chunks", "bag_0.mcap", b"\0\1\0\0", -31), ("sqlite3", "bag_0.db3", b"keep_last", 1)],
+    ids=["length of the first message outside of chunks", "one letter of the QoS"],
+)
+def test_bit_that_once_lost_all_messages(kind: str, name: str, text: bytes, offset: int, tmp_path: Path) -> None:
+    KINDS[kind].write(tmp_path / "whole", Random(1))
+    shutil.copytree(tmp_path / "whole", tmp_path / "bag")
+    bit = 8 * ((tmp_path / "bag" / name).read_bytes().index(text) + offset) + 1
+    flip(tmp_path / "bag" / name, bit)
+    assert faults(tmp_path / "whole", tmp_path / "bag", repair(tmp_path / "bag"), kind, name, bit) == []

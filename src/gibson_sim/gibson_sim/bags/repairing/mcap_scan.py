@@ -263,6 +263,9 @@ class _Scanner:
                 position = self._record(position)
             except _Broken as broken:
                 end = broken.end or self._next(position + 1)
+                if not (self._found.chunks or self._run_seen) and self._is_without_chunks(end):
+                    self._run_seen = True
+                    end = self._next(position + 1)
                 unfinished = end == self._size and self._is_unfinished(position)
                 self._gap(position, end, UNFINISHED if unfinished else broken.reason)
                 self._last = self._run = None
@@ -317,6 +320,15 @@ class _Scanner:
                 return False
             position += RECORD.size + head[1]
         return True
+
+    def _is_without_chunks(self, position: int) -> bool:
+        """Returns whether the statistics, in the records from an offset on, list messages and no chunk."""
+        while (head := self._head(position)) is not None and head[0] != Opcode.CHUNK:
+            if head[0] == Opcode.STATISTICS and head[1] >= 46:
+                count, chunks = struct.unpack("<Q14xI", self._read(position + RECORD.size, 26))
+                return bool(count and not chunks)
+            position += RECORD.size + head[1]
+        return False
 
     def _is_damaged_head(self, position: int) -> bool:
         """Returns whether the head of a record is at an offset, but for one bit: it would then lead to the next sound record."""

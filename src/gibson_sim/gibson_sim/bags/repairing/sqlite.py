@@ -113,12 +113,28 @@ def _copied(path: Path, draft: Path, known: Mapping[str, TopicRecord]) -> tuple[
             strange = {t.name for t in contents.topics if t.name not in agreed or agreed[t.name].type_name != t.type_name}
             if strange and agreed.keys() - {t.name for t in contents.topics if t.name not in strange}:
                 complaints.append(f"topics {', '.join(sorted(strange))} are not those of the metadata"[:200])
+            complaints += [
+                damaged_qos(name, "metadata") for name, qos in _qos_texts(connection) if _is_altered(name, qos, agreed)
+            ]
             complaints += [text for text in (_complaint_about_topics(connection),) if text]
             return contents, complaints
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         if "full" in str(error):
             raise
         return None, [str(error)]
+
+
+def _qos_texts(connection: sqlite3.Connection) -> list[tuple[str, str]]:
+    columns = {name for _, name, *_ in connection.execute("PRAGMA table_info(topics)")}
+    if "offered_qos_profiles" not in columns:
+        return []
+    return [(str(name), str(qos)) for name, qos in connection.execute("SELECT name, offered_qos_profiles FROM topics")]
+
+
+def _is_altered(topic: str, qos: str, known: Mapping[str, TopicRecord]) -> bool:
+    """Returns whether one character of the QoS of a topic is another one than in the metadata: readers may then not find the topic."""
+    right = dump_qos(known[topic].qos) if topic in known else qos
+    return len(qos) == len(right) and sum(a != b for a, b in zip(qos, right, strict=True)) == 1
 
 
 def _has_metadata(connection: sqlite3.Connection) -> bool:
@@ -242,7 +258,7 @@ def _settle_types(tables: _Tables, known: Mapping[str, TopicRecord]) -> list[str
     texts = {str(values[0]): values for values in tables.definitions.values() if values[1] == "ros2msg"}
     for values in tables.topics.values():
         topic, name = str(values[0]), str(values[1])
-        if not is_qos(str(values[3])):
+        if not is_qos(str(values[3])) or _is_altered(topic, str(values[3]), known):
             replacement = dump_qos(known[topic].qos) if topic in known else ""
             values[3] = replacement
             notes.append(damaged_qos(topic, replacement))
