@@ -512,6 +512,13 @@ def test_transparency(tmp_path: Path, transparent: str, alpha: float) -> None:
     assert material.alpha_mode == "blend"
 
 
+@rule(FORMAT, "<color> that cannot be read", "left out", "the mesh is drawn without it")
+def test_broken_colour_is_named(tmp_path: Path) -> None:
+    for color in ("1 0 0.01.0", "1 0"):
+        effect = f"<phong><emission><color>{color}</color></emission>{RED}</phong>"
+        assert _warned(tmp_path, _text(effect=effect), color, "<emission>", "left out").material.base_color == (1, 0, 0, 1)
+
+
 @rule(FORMAT, "invisible surfaces", "approximated", "drawn opaque: exporters write them by mistake")
 def test_invisible_surface_is_drawn_opaque(tmp_path: Path) -> None:
     effect = f"<phong>{RED}<transparency><float>0</float></transparency></phong>"

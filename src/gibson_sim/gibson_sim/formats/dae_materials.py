@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from gibson_sim.errors import MeshError
 from gibson_sim.formats.dae_document import DaeDocument, Element, children, reference
 from gibson_sim.formats.mesh import LIGHT_GREY, AlphaMode, Filter, Material, Sampling, TextureSource, Wrap
 from gibson_sim.formats.textures import TextureStore
@@ -259,10 +260,17 @@ class _EffectReader:
         return None
 
     def _color(self, slot: str) -> Rgba | None:
-        """Returns the colour of a slot, each 0 to 1; None if it has none."""
+        """Returns the colour of a slot, each 0 to 1; None if it has none or, with a warning, if it cannot be read."""
         text = self._value(slot, "color", "float4", "float3", "half4", "half3")
-        values = self.document.numbers(text).clip(0.0, 1.0).tolist()
+        try:
+            values = self.document.numbers(text).clip(0.0, 1.0).tolist()
+        except MeshError:
+            values = []
         if len(values) < 3:
+            if text is not None:
+                self._warn(
+                    f"has the colour {quoted(text.strip())} in <{slot}>, must be 3 or 4 numbers between spaces; it is left out"
+                )
             return None
         return (values[0], values[1], values[2], values[3] if len(values) > 3 else 1.0)
 
