@@ -331,3 +331,13 @@ def test_reader_warns_of_messages_that_the_bag_lists_and_does_not_have(bag: Path
     with BagReader(bag) as reader:
         assert len(list(reader.raw_messages())) == 20
     assert "does not have the messages that it lists (/a: 12 of 13)" in caplog.text
+
+
+def test_statistics_that_contradict_themselves_report_no_loss(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    content = file.read_bytes()
+    counts = content.rindex(b"\x01\x00" + (12).to_bytes(8, "little"))  # channel 1 and its number of messages, in the statistics
+    _flip(file, counts + 3, 2)
+    result = repair(bag)
+    assert "the statistics are wrong" in result.text()
+    assert (result.complete, dict(result.lost), _read(bag)) == (True, {}, WHOLE)

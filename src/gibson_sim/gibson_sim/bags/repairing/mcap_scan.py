@@ -627,13 +627,15 @@ class _Scanner:
         found = self._found
         if self._statistics:
             statistics, counts = self._statistics, found.counts
-            found.listed = Counter({channel: count for channel, count in statistics.channel_message_counts.items() if count})
+            listed = Counter({channel: count for channel, count in statistics.channel_message_counts.items() if count})
             times = [time for chunk in found.chunks if chunk.messages for time in chunk.times]
             span = min(times, default=0), max(times, default=0)
-            is_right = statistics.message_count == counts.total() and found.listed in (counts, Counter())
+            is_right = statistics.message_count == counts.total() and listed in (counts, Counter())
             is_right = is_right and (not times or span == (statistics.message_start_time, statistics.message_end_time))
             if not found.gaps and not is_right:
                 found.faults.append("the statistics are wrong")
+            # Statistics that contradict themselves tell nothing about what is lost.
+            found.listed = listed if listed.total() == statistics.message_count else None
         # Behind gaps the index is another one in any case: it lists what was in them.
         if self._chunk_indices and not found.gaps and not self._are_chunks_listed():
             found.faults.append("the index of chunks is wrong")
