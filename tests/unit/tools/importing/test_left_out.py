@@ -15,7 +15,8 @@ from support.interiors import room, write_obj
 
 TABLE = "<collision name='c'><geometry><box><size>1 2 0.8</size></box></geometry></collision>"
 LOST = "<visual name='v'><geometry><mesh><uri>model://table/meshes/gone.dae</uri></mesh></geometry></visual>"
-ROOM = "<visual name='v'><geometry><mesh><uri>model://room/meshes/room.obj</uri></mesh></geometry></visual>"
+_MESH = "<geometry><mesh><uri>model://room/meshes/room.obj</uri></mesh></geometry>"
+ROOM = f"<visual name='v'>{_MESH}</visual><collision name='c'>{_MESH}</collision>"
 
 
 def world(folder: Path, **models: str) -> Path:
