@@ -22,5 +22,10 @@ def test_warnings_that_differ_only_in_the_file_become_one_line() -> None:
     ]
 
 
+def test_models_with_the_same_warning_become_one_line() -> None:
+    lines = ["model chair_1: <emissive> is left out", "model table: its mesh is missing", "model chair_2: <emissive> is left out"]
+    assert grouped(lines) == ["model chair_1 and 1 more: <emissive> is left out", "model table: its mesh is missing"]
+
+
 def test_each_file_counts_once() -> None:
     assert grouped(["a.dae: lines are not drawn"] * 2) == ["a.dae: lines are not drawn"]

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from enum import Enum, auto
+
+_SOURCE = re.compile(r"\S*\.\S+|model \S.*")
+"""What a line may begin with before ``: ``: a file or a model. Other lines stand alone."""
 
 
 class OmissionKind(Enum):
@@ -36,15 +40,14 @@ class Omission(str):
 
 
 def grouped(lines: Iterable[str]) -> list[str]:
-    """Returns warnings of which those that differ only in the file before ``: `` are one line, which counts the other files.
+    """Returns warnings of which those that differ only in the file or model before ``: `` are one line, which counts the others.
 
     ``a.dae: lines are not drawn`` and the same of two further files become ``a.dae and 2 more: lines are not drawn``, at the first place.
     """
     files: dict[str, list[str]] = {}
     for line in lines:
         file, colon, text = line.partition(": ")
-        # Without a file, or with a value beside the name, a line stands alone.
-        key = text if colon and " " not in file and "." in file else line
+        key = text if colon and _SOURCE.fullmatch(file) else line
         files.setdefault(key, []).append(file if key == text and colon else "")
     found = []
     for text, names in files.items():

@@ -65,6 +65,7 @@ def load_robot(
     start: Pose | None = None,
     find: Callable[[str], Path] | None = None,
     points: MeshPoints | None = None,
+    log: bool = True,
 ) -> RobotSpec:
     """Returns the robot of a ``robot.yaml``, or of a URDF or a xacro, whose other values are guessed (``robots.loading.derive``).
 
@@ -74,6 +75,7 @@ def load_robot(
         start: T_world_base at load; None = the origin.
         find: Returns a robot's folder or file by its name; None = ``config/robots/<name>`` of a share folder (see ``resources``).
         points: Reads meshes; None = meshes are ignored for radius, height and wheels. ``scenes.robot_files`` provides it.
+        log: Whether guesses and warnings are logged; False for a list of robots, none of which is simulated.
 
     Raises:
         RobotError: a file is missing or invalid; one line.
@@ -83,14 +85,14 @@ def load_robot(
     path = find_robot_file(path_or_name, find)
     if path.suffix.lower() in DESCRIPTION_SUFFIXES:
         derived = derive_file(path, points)
-        for guess in derived.guesses:
+        for guess in derived.guesses if log else ():
             logger.info("%s: no robot.yaml; guessed %s", path.name, guess)
         robot = YamlMap({"urdf": path.name, **derived.values}, str(path), error=RobotError)
     else:
         robot = read_yaml_map(path, error=RobotError)
     robot.check_keys(_ROBOT_KEYS)
     model = with_textures(_model(robot, path))
-    for warning in model.warnings:
+    for warning in model.warnings if log else ():
         logger.warning("%s", warning)
     for joint in model.joints:
         if joint.kind not in (*MOVING_TYPES, "fixed"):

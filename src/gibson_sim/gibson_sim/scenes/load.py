@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gibson_sim.description.omissions import grouped
+from gibson_sim.description.omissions import OmissionKind, grouped, kind_of
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.formats.uris import ancestors
@@ -82,6 +82,12 @@ def finish(builder: SceneBuilder) -> SceneSpec:
     scene = builder.finish()
     for warning in grouped(scene.warnings):
         _log.warning("scene %s: %s", scene.name, warning)
+    missing = sum(kind_of(warning) is OmissionKind.MISSING_ASSET for warning in scene.warnings)
+    if missing:
+        rest = "" if scene.visuals or scene.collisions or scene.bodies else "; nothing but the ground is left"
+        _log.warning(
+            "scene %s: %d models, meshes or textures are missing%s: the lines above say which", scene.name, missing, rest
+        )
     _log.info("scene %s: %d visual, %d collision shapes", scene.name, len(scene.visuals), len(scene.collisions))
     return scene
 

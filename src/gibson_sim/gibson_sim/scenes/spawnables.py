@@ -158,7 +158,7 @@ def _robot_bounds(path: Path) -> tuple[Vec3, Vec3] | None:
     if not is_file(path / ROBOT_FILE):
         return None
     try:
-        robot = load_robot(path / ROBOT_FILE)
+        robot = load_robot(path / ROBOT_FILE, log=False)
     except RobotError as e:
         _log.warning("%s", e)
         return None

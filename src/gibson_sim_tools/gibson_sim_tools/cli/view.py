@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import cv2
 
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.quiet import quiet
+from gibson_sim.description.omissions import grouped
 from gibson_sim.errors import ConfigError
 from gibson_sim.picture_files import write_picture
 from gibson_sim.scenes.load import load_scene
@@ -50,6 +52,10 @@ def _run(args: argparse.Namespace) -> ExitCode:
     if not 1 <= args.views <= MAX_VIEWS:
         raise ConfigError(f"--views is {args.views}, must be 1 to {MAX_VIEWS}")
     scenes = [load_scene(name) for name in args.scene]
+    # First: who sees a part of a scene should know that it is not the whole.
+    for scene in scenes:
+        for line in grouped(scene.warnings):
+            print(f"{scene.name}: {line}", file=sys.stderr)
     scene = scenes[0]
     if len(scenes) > 1:
         if args.floor is not None:

@@ -51,8 +51,10 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
         floor_z: height of the floor to show; None = the one that robots start on.
 
     Raises:
-        SceneError: the scene has no free floor.
+        SceneError: the scene has no free floor, or nothing but the ground.
     """
+    if not scene.visuals and not scene.collisions and not scene.bodies:
+        raise SceneError(f"scene {quoted(scene.name)}: has nothing but the ground, so there is nothing to show")
     level = scene if floor_z is None else replace(scene, floor_z=floor_z, other_floors=scene.floors)
     floor = _floor_with_bodies(level)
     with _static_renderer(scene) as renderer:
@@ -204,6 +206,8 @@ def _eye_camera(x: float, y: float, z: float, yaw: float) -> CameraSpec:
 def _top_view_camera(scene: SceneSpec) -> CameraSpec:
     """Returns a camera that sees the whole floor from above, the building cut at ``CUT_HEIGHT`` by its near plane."""
     vertices, _ = collision_triangles(scene)
+    if not len(vertices):
+        vertices = scene_triangles(scene).reshape(-1, 3)
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     (width, depth), middle = (high - low).tolist(), (low + high) / 2
     fov = math.radians(30.0)

@@ -13,6 +13,7 @@ from rclpy.node import Node
 
 from gibson_msgs.msg import Scene, SceneState
 from gibson_sim.config import RenderConfig
+from gibson_sim.description.omissions import grouped
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.filling.fillers import network_digests, uses_network
 from gibson_sim.geometry.exposures import needs_previous
@@ -142,7 +143,7 @@ class RenderNode(Node):
             self._frame_history = FrameHistory(self._renderer)
         else:
             reloaded = self._renderer.update(scene, progress=progress)
-        for warning in (*warnings, *self._renderer.warnings):
+        for warning in grouped((*warnings, *self._renderer.warnings)):
             self.get_logger().warning(warning)
         assert self._frame_history is not None
         self._frame_history.forget()
