@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from gibson_sim.bags.reader import BagReader
 from gibson_sim.trials.judging import judge
 from gibson_sim.trials.records import RunResult, Verdict
 from gibson_sim.trials.scenario_spec import RateLimit, Reached, Region
@@ -366,3 +368,55 @@ class TestPredicates:
         for name, answer in (("a", True), ("b", False)):
             (tmp_path / name).mkdir()
             assert self.call(tmp_path / name, f"def ok(bag, run):\n    return {answer}\n").passed == answer
+
+
+def without_ticks(run: Run, folder: Path, *gaps: tuple[float, float]) -> Path:
+    """Writes the bag of a run whose recorder was paused in these intervals, s since the goal, ends excluded."""
+    full, bag = run.write(folder / "full"), folder / "bag"
+    make = messages()
+    with BagReader(full / "bag") as read, make.writer(bag) as written:
+        for name, info in read.topics().items():
+            written.add_topic(name, info.type_name)
+        for topic, at, data in read.raw_messages(list(read.topics())):
+            if not any(ns(begin) < at < ns(end) for begin, end in gaps):
+                written.write(topic, data, at, at)
+    return folder
+
+
+def test_recording_that_was_paused_in_mid_run_is_a_failure_and_its_cause(tmp_path: Path) -> None:
+    """Ticks are 0.1 s apart: between those at 2 s and at 9.1 s there are 7.0 s without any."""
+    run = Run(touches=((4.0, 5.0, "box"),))
+    folder = without_ticks(run, tmp_path, (2.0, 9.1))
+    result = judge(scenario(), planned(), run.outcome(callers={"pause": ["/cheat"]}), folder)
+    found = verdict(result, "run")
+    assert not found.passed
+    assert found.text == (
+        "the bag lacks 7.0 s from 2.0 s after the goal: recording was paused, by node '/cheat', or messages were lost; "
+        "what happened then is unknown"
+    )
+    assert result.cause is not None
+    assert result.cause.time == 2.0
+
+
+@pytest.mark.parametrize(
+    ("gaps", "text"),
+    [
+        (((-0.95, 3.1),), "the bag lacks 3.0 s from 0.0 s after the goal: "),
+        (((9.0, 11.55),), "the bag lacks 2.5 s from 9.0 s after the goal: "),
+        ([(k, k + 0.35) for k in range(1, 6)], "the bag lacks 0.3 s from 1.0 s after the goal, and 1.2 s in other gaps: "),
+        ([(1.0, 1.35), (2.0, 4.1), (5.0, 6.1)], "the bag lacks 2.0 s from 2.0 s after the goal, and 1.3 s in other gaps: "),
+    ],
+)
+def test_gaps_in_the_recording_are_found_wherever_they_are(
+    tmp_path: Path, gaps: Sequence[tuple[float, float]], text: str
+) -> None:  # fmt: skip
+    run = Run()
+    found = verdict(judge(scenario(), planned(), run.outcome(), without_ticks(run, tmp_path, *gaps)), "run")
+    assert not found.passed
+    assert found.text.startswith(text)
+
+
+def test_a_few_lost_ticks_are_no_gap(tmp_path: Path) -> None:
+    run = Run()
+    folder = without_ticks(run, tmp_path, (1.0, 1.15), (3.0, 3.25), (6.0, 6.15))
+    assert verdict(judge(scenario(), planned(), run.outcome(), folder), "run").passed

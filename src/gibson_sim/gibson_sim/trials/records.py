@@ -108,6 +108,10 @@ End = Literal[
 ]
 
 
+PAUSE = "pause"
+"""Service of the recorder that interrupts the bag."""
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """Outcome of a run."""
@@ -128,7 +132,8 @@ class Outcome:
     status: str = ""
     """Latest text on the status topic."""
     callers: dict[str, list[str]] = field(default_factory=dict)
-    """Service, action or topic that changes the world or its time -> nodes outside the simulation that had a client or publisher of it."""
+    """Service, action or topic that changes the world or its time, or pauses the recording -> nodes outside the simulation that had a
+    client or publisher of it."""
     time_calls: list[list[Any]] = field(default_factory=list)
     """Requests by which other nodes changed how time passes, as the trial node received them, also if the run ended before the recorder did:
     stamp (ns), step, name and CDR bytes (hexadecimal) of each."""

@@ -46,7 +46,7 @@ from gibson_sim.trials.execution.node_settings import POSE_TYPE
 from gibson_sim.trials.execution.plan import CLOCK, IMAGES, MARKER, PROGRESS, TrialPlan, TrialReport
 from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, person_urdf
 from gibson_sim.trials.foreign_calls import JournalEntry
-from gibson_sim.trials.records import REFUSED_GOAL, PlanarPose
+from gibson_sim.trials.records import PAUSE, REFUSED_GOAL, PlanarPose
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
 
 SIMULATOR_NODES = frozenset({"physics", "render", "record", "_record_intake", "trial"})
@@ -82,8 +82,9 @@ CALL_TOPICS = {
         "simulate_steps": ("simulate_steps/_action/send_goal",),
         "set_parameters": ("physics/set_parameters", "physics/set_parameters_atomically"),
     }.items()
-} | {names.OBJECT_JOINT_COMMAND: ((f"/{names.OBJECT_JOINT_COMMAND}", True),)}
-"""Each of ``CONTROLS`` -> topics on which its requests arrive, each with whether ROS mangles its name in DDS."""
+} | {names.OBJECT_JOINT_COMMAND: ((f"/{names.OBJECT_JOINT_COMMAND}", True),), PAUSE: (("rq/record/pauseRequest", False),)}
+"""Each of ``CONTROLS``, and the service that pauses the recorder -> topics on which its requests arrive, each with whether ROS mangles its
+name in DDS."""
 _HANDLES = ("handle", "lever", "knob")
 """Suffixes of the names of joints that belong to handles, not to doors."""
 _OK = sim_msg.Result.RESULT_OK
@@ -451,7 +452,7 @@ class TrialNode(Node):
         return condition()
 
     def _watch_callers(self) -> None:
-        """Notes which other nodes can change the world or its time: a request does not say who sent it."""
+        """Notes which other nodes can change the world or its time, or pause the recording: a request does not say who sent it."""
         callers = self._report.callers
         for name, topics in CALL_TOPICS.items():
             known = callers.get(name, [])

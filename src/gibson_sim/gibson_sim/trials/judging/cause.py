@@ -180,7 +180,8 @@ def _failure(
     if name == "alive" and not is_alive(outcome):
         return _Failure(Event("stack died", end, end, verdict.text))
     if name == RUN:
-        return _Failure(Event("unknown", end, end, verdict.text))
+        begin = end if verdict.value is None else verdict.value
+        return _Failure(Event("unknown", begin, end, verdict.text))
     if name == "reached" and evidence.truth is not None:
         if outcome.end == "reached":
             return _Failure(itself, (*_LOST, "slipped"), at_once=True)

@@ -31,6 +31,11 @@ class RunDigest:
             values = tuple(sorted((topic, int(digest)) for topic, digest in digests.values().items()))
             self._ticks[int(msg.epoch), int(msg.step)] = digests.stamp_ns, values
 
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Stamps of all ticks, ns, in no particular order."""
+        return [stamp_ns for stamp_ns, _ in self._ticks.values()]
+
     def hexdigest(self, end_ns: int) -> str:
         """Returns the BLAKE2b hash of all ticks up to a stamp, ns, in order; empty = no ticks.
 

@@ -40,6 +40,8 @@ _OCCUPIED = 50
 """Least value of an occupied cell of an OccupancyGrid: 0 free to 100 occupied."""
 _SAME_M = 0.005
 """Greatest error, m, of an estimate that is the truth itself, published by the simulation as map -> odom."""
+_MISSED = 1.5
+"""Least ratio of the time between two ticks of the bag to the usual one from which ticks are missing between them."""
 _LARGEST = 1e6
 """Coordinates, velocities and times above this value are damaged, SI units."""
 
@@ -109,6 +111,16 @@ class Plan:
     """(N, 2), metres; N is 2 or more."""
 
 
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Simulation time of which the bag has no tick."""
+
+    begin: float
+    """Time of the last tick before it, s since the goal."""
+    length: float
+    """s."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """Evidence from the bag of a run, between goal and end; None = not in the bag."""
@@ -143,6 +155,8 @@ class Evidence:
     first: float
     last: float
     """Times of the first and the last message up to the end, s since the goal."""
+    gaps: tuple[Gap, ...]
+    """Gaps between the ticks from the goal to the end, in order of time."""
 
 
 def read_evidence(folder: Path, outcome: Outcome, counted: Collection[str] = ()) -> Evidence:
@@ -336,7 +350,16 @@ class _Reading:
             digest=self._digest.hexdigest(self._end_ns),
             first=self._seconds(self._first_ns),
             last=self._seconds(self._last_ns),
+            gaps=self._gaps(duration),
         )
+
+    def _gaps(self, duration: float) -> tuple[Gap, ...]:
+        """Returns the gaps in what the simulation publishes at every tick: in its digests, and in the true pose.
+
+        The one that lacks more counts: messages of the other kind may have been published by somebody else meanwhile.
+        """
+        sources = ([self._seconds(ns) for ns in self._digest.stamps_ns], [row[0] for row in self._rows.truth])
+        return max((_gaps(times, duration) for times in sources), key=lambda gaps: sum(gap.length for gap in gaps))
 
 
 def errors(estimate: Poses, truth: Poses) -> tuple[F64, F64]:
@@ -411,6 +434,17 @@ def _plan_topic(infos: Mapping[str, TopicInfo]) -> str:
             if topic.rpartition("/")[2] == name:
                 return topic
     return paths[0] if len(paths) == 1 else ""
+
+
+def _gaps(times: Collection[float], duration: float) -> tuple[Gap, ...]:
+    """Returns the gaps between the goal, ticks at these times (s since the goal, any order, duplicates allowed), and the end."""
+    ticks = np.unique(np.array([t for t in times if 0.0 < t < duration], dtype=np.float64))
+    if len(ticks) < 2:
+        return ()
+    period = float(np.median(np.diff(ticks)))
+    ends = np.array([0.0, *ticks, duration])
+    steps = np.diff(ends)
+    return tuple(Gap(float(ends[k]), float(steps[k]) - period) for k in np.flatnonzero(steps > _MISSED * period))
 
 
 def _floor(msg: Any, topic: str) -> Floor | None:

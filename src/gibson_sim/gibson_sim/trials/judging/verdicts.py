@@ -9,17 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.plots.touches import Touch
+from gibson_sim.quoting import quoted
 from gibson_sim.trials.foreign_calls import ForeignCalls
 from gibson_sim.trials.judging.evidence import Evidence, Poses
 from gibson_sim.trials.judging.measures import Measured
 from gibson_sim.trials.judging.predicates import predicate_verdict
-from gibson_sim.trials.records import Outcome, RunSpec, Verdict
+from gibson_sim.trials.records import PAUSE, Outcome, RunSpec, Verdict
 from gibson_sim.trials.scenario_spec import Reached, Region, Scenario
 
 RUN = "run"
 """Name of the verdict on whether a run could be judged at all."""
 NOT_JUDGED = ("simulation failed", "never ready", "stack silent", "interrupted", "wall time limit")
 """Ends after which no run passes."""
+GAP_S, GAPS_S = 0.5, 1.0
+"""Longest gap, and longest time of all gaps, that a bag may have between its ticks, s: on a busy machine, messages may be lost."""
 _MAX_NAMED = 3
 """Number of collisions that a verdict names."""
 _TRUTH = "ground_truth/odom"
@@ -110,7 +113,7 @@ def is_alive(outcome: Outcome) -> bool:
 
 
 def _run(outcome: Outcome, evidence: Evidence, foreign: ForeignCalls | None) -> Verdict:
-    """Judges whether the run was completed, by the trial alone, and recorded without a gap at its beginning or end."""
+    """Judges whether the run was completed, by the trial alone, and recorded without a gap."""
     if foreign is not None:
         return Verdict(RUN, False, foreign.what, foreign.time)
     if outcome.end in NOT_JUDGED:
@@ -122,6 +125,18 @@ def _run(outcome: Outcome, evidence: Evidence, foreign: ForeignCalls | None) -> 
         return Verdict(
             RUN, False, f"the bag begins {evidence.first:.1f} s after the goal was sent: the beginning of the run is unknown"
         )
+    longest, missing = max((gap.length for gap in evidence.gaps), default=0.0), sum(gap.length for gap in evidence.gaps)
+    if longest > GAP_S or missing > GAPS_S:
+        first = next(gap for gap in evidence.gaps if longest <= GAP_S or gap.length > GAP_S)
+        others = f", and {missing - first.length:.1f} s in other gaps" if missing - first.length > 0.05 else ""
+        nodes = " or ".join(quoted(name) for name in outcome.callers.get(PAUSE, ())[:_MAX_NAMED])
+        why = (
+            f"recording was paused, by node {nodes}, or messages were lost"
+            if nodes
+            else "recording was paused, or messages were lost"
+        )
+        text = f"the bag lacks {first.length:.1f} s from {first.begin:.1f} s after the goal{others}: {why}; what happened then is unknown"
+        return Verdict(RUN, False, text, first.begin)
     return Verdict(RUN, True, "the run was completed and recorded")
 
 
