@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -29,18 +27,13 @@ from gibson_sim.reading import (
     read_file,
     yaml_texts,
 )
+from support.effort import effort
 
 BOMB = "name: b\ngravity:\n- &z0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"- &z{k} [{','.join([f'*z{k - 1}'] * 9)}]\n" for k in range(1, 12)
 )
 """500 bytes that expand to 9^12 values."""
 MERGE_BOMB = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{','.join([f'*a{k - 1}'] * 9)}]}}\n" for k in range(1, 12))
-
-
-def _cpu_s(do: Callable[[], object]) -> float:
-    start = time.process_time()
-    do()
-    return time.process_time() - start
 
 
 def test_plain_yaml_is_read_as_pyyaml_reads_it(root: Path) -> None:
@@ -94,7 +87,7 @@ def test_yaml_bombs_cost_no_time() -> None:
         with pytest.raises(TextError):
             parse_yaml(BOMB)
 
-    assert _cpu_s(refused) < 1.0
+    assert effort(refused) < 10.0
 
 
 def test_message_for_clients_has_nothing_of_the_file() -> None:
@@ -154,7 +147,7 @@ def test_folders_are_listed_beside_a_deep_description() -> None:
         with pytest.raises(TextError, match=f"nested deeper than {MAX_DEPTH} levels"):
             yaml_texts(b"a: " + b"[" * 250_000, ("name",))
 
-    assert _cpu_s(refused) < 1.0, "libyaml takes minutes"
+    assert effort(refused) < 10.0, "libyaml takes minutes"
 
 
 def test_millions_of_elements_are_refused_unread() -> None:
@@ -164,7 +157,7 @@ def test_millions_of_elements_are_refused_unread() -> None:
         with pytest.raises(TextError):
             parse_xml(text)
 
-    assert _cpu_s(refused) < 1.0, "to parse them takes 5 s"
+    assert effort(refused) < 10.0, "to parse them takes 5 s"
 
 
 def test_only_regular_files_of_bounded_size_are_opened(tmp_path: Path) -> None:
@@ -211,7 +204,7 @@ def test_every_quotation_is_short_and_takes_no_time() -> None:
     for _ in range(40):
         nested = [nested] * 9
     odd: dict[str, object] = {"a": nested, "b": 10**5000, "c": b"bytes", "d": "t" * 10**6, "e": {k: k for k in range(10**5)}}
-    assert _cpu_s(lambda: [quoted(value) for value in (*odd.values(), odd)]) < 1.0
+    assert effort(lambda: [quoted(value) for value in (*odd.values(), odd)]) < 10.0
     assert all(len(quoted(value)) < 130 for value in (*odd.values(), odd))
     assert all("\n" not in quoted(value) for value in ("a\nb", ["a\nb"], {"a\nb": 1}))
 

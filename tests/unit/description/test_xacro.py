@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,6 +15,7 @@ from gibson_sim.description.urdf import parse_urdf, read_urdf
 from gibson_sim.description.xacro import plain_description, published_description
 from gibson_sim.errors import RobotError
 from gibson_sim.robots.load import load_robot
+from support.effort import effort
 
 XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="wide" default="0.2"/>
 <xacro:include filename="$(find my_robot)/parts/arm.xacro"/>
@@ -110,22 +110,23 @@ def test_xacro_that_never_ends_or_wants_all_memory_is_refused(
 def test_optional_variables_without_an_end_cost_no_time(tmp_path: Path, text: str) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(f'<robot name="r"><link name="base"/>{text}</robot>')
-    begin = time.process_time()
-    assert plain_description(path, {}) == path
-    assert time.process_time() - begin < 1.0, "going back over them takes minutes"
+    found: list[Path] = []
+    assert effort(lambda: found.append(plain_description(path, {}))) < 10.0, "going back over them takes minutes"
+    assert found == [path]
 
 
 def test_what_only_looks_like_a_xacro_is_none_and_costs_no_time() -> None:
     comments = "<!--" * 200_000
-    begin = time.process_time()
-    for text, expected in (
-        (f'<!DOCTYPE robot SYSTEM "{comments}"><robot><!-- <xacro:a/> --></robot>', False),
-        ("<robot><!-- <xacro:a/> --><![CDATA[<xacro:b/>]]><?x <xacro:c/>?></robot>", False),
-        ("<robot><!-- a --><xacro:b/><!-- c --></robot>", True),
-        ("<robot><xacro:b/></robot>", True),
-    ):
-        assert xacro.is_xacro(text, ElementTree.Element("robot")) is expected
-    assert time.process_time() - begin < 1.0, "going back over them takes minutes"
+    texts = (
+        f'<!DOCTYPE robot SYSTEM "{comments}"><robot><!-- <xacro:a/> --></robot>',
+        "<robot><!-- <xacro:a/> --><![CDATA[<xacro:b/>]]><?x <xacro:c/>?></robot>",
+        "<robot><!-- a --><xacro:b/><!-- c --></robot>",
+        "<robot><xacro:b/></robot>",
+    )
+    found: list[bool] = []
+    top = ElementTree.Element("robot")
+    assert effort(lambda: found.extend(xacro.is_xacro(text, top) for text in texts)) < 10.0, "going back over them takes minutes"
+    assert found == [False, False, True, True]
 
 
 def test_arguments_of_what_is_no_xacro_are_refused(tmp_path: Path) -> None:
