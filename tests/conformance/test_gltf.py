@@ -166,6 +166,21 @@ def test_a_required_unknown_extension_is_refused(tmp_path: Path) -> None:
         read(gltf, tmp_path)
 
 
+@pytest.mark.parametrize("name", ["KHR_materials_foo", "KHR_texture_foo"])
+def test_a_required_unknown_extension_is_refused_whatever_its_name(tmp_path: Path, name: str) -> None:
+    gltf = Gltf().triangle()
+    gltf.document["extensionsRequired"] = gltf.document["extensionsUsed"] = [name]
+    with pytest.raises(MeshError, match=f"needs glTF extension {name}"):
+        read(gltf, tmp_path)
+
+
+def test_a_required_material_extension_that_is_left_out_is_named_by_its_material(tmp_path: Path) -> None:
+    name = "KHR_materials_clearcoat"
+    source = {"pbrMetallicRoughness": MATTE, "extensions": {name: {"clearcoatFactor": 1.0}}}
+    (warning,) = material_of(source, tmp_path, extensionsRequired=[name], extensionsUsed=[name])[1]
+    assert name in warning
+
+
 @rule(FORMAT, "extensionsUsed", "left out", "each extension that is not read is named")
 def test_an_unknown_extension_that_is_used_is_named(tmp_path: Path) -> None:
     gltf = Gltf().triangle()
@@ -227,6 +242,30 @@ def test_children_move_with_their_parents(tmp_path: Path) -> None:
     gltf.document["scenes"][0]["nodes"] = [0, 2]
     with pytest.raises(MeshError, match="node 1 has two parents"):
         read(gltf, tmp_path)
+
+
+@rule(
+    FORMAT, "scenes[].nodes", "approximated", "a node that is named twice is drawn once; a root that is also a child is refused"
+)
+def test_a_root_that_is_named_twice_is_drawn_once(tmp_path: Path) -> None:
+    gltf = Gltf().triangle(FLAT)
+    gltf.document["scenes"] = [{"nodes": [0, 0]}]
+    mesh = read(gltf, tmp_path)
+    assert len(mesh.parts) == 1
+    assert "its scene names node 0 more than once" in mesh.warnings[0]
+    gltf.document["nodes"] = [{"children": [1]}, {"mesh": 0}]
+    gltf.document["scenes"] = [{"nodes": [0, 1]}]
+    with pytest.raises(MeshError, match="node 1 is a child, but also a root of the scene"):
+        read(gltf, tmp_path)
+
+
+@rule(FORMAT, "nodes[].matrix", "approximated", "beside a translation, rotation or scale, which has no effect")
+def test_a_matrix_beside_a_translation_is_named(tmp_path: Path) -> None:
+    gltf = Gltf().triangle(FLAT)
+    gltf.document["nodes"] = [{"mesh": 0, "matrix": np.eye(4).ravel().tolist(), "translation": [5, 0, 0]}]
+    mesh = read(gltf, tmp_path)
+    assert points(mesh) == FLAT
+    assert "node 0 has a matrix and a translation, rotation or scale" in mesh.warnings[0]
 
 
 @rule(FORMAT, "KHR_node_visibility", "done", "an invisible node and its children are not drawn")
@@ -764,6 +803,30 @@ def test_a_transform_scales_then_rotates_then_moves(tmp_path: Path) -> None:
     np.testing.assert_allclose(part.uvs, np.array(expected), atol=1e-6)
 
 
+@pytest.mark.parametrize("transform", [{}, {"offset": [0, 0], "scale": [1.0, 1.0]}, {"rotation": 0.0}])
+def test_a_transform_that_changes_nothing_is_no_other_mapping(tmp_path: Path, transform: dict[str, Any]) -> None:
+    emissive = {"index": 1, "extensions": {"KHR_texture_transform": transform}}
+    source = {
+        "pbrMetallicRoughness": {**MATTE, "baseColorTexture": {"index": 0}}, "emissiveTexture": emissive, "emissiveFactor": [1, 1, 1],
+    }  # fmt: skip
+    material, warnings = material_of(source, tmp_path, images=2)
+    assert material.emissive_texture is not None
+    assert not warnings
+
+
+@pytest.mark.parametrize(
+    "without_effect",
+    [
+        {"emissiveTexture": {"index": 1, "texCoord": 1}},
+        {"emissiveTexture": {"index": 1, "texCoord": 1}, "emissiveFactor": [0, 0, 0]},
+        {"occlusionTexture": {"index": 1, "texCoord": 1, "strength": 0}},
+    ],
+)
+def test_other_coordinates_of_a_texture_without_effect_are_not_named(tmp_path: Path, without_effect: dict[str, Any]) -> None:
+    source = {"pbrMetallicRoughness": {**MATTE, "baseColorTexture": {"index": 0}}, **without_effect}
+    assert material_of(source, tmp_path, images=2)[1] == ()
+
+
 @rule(FORMAT, "KHR_texture_basisu", "left out", "KTX2 images are not read; the fallback image is used where there is one")
 def test_ktx2_is_named_and_its_fallback_is_used(tmp_path: Path) -> None:
     source = {"pbrMetallicRoughness": {**MATTE, "baseColorTexture": {"index": 0}}}
@@ -818,6 +881,21 @@ def test_webp_is_preferred(tmp_path: Path) -> None:
     material, _ = material_of(source, tmp_path, images=2, textures=textures)
     assert material.texture is not None
     assert int(material.texture.pixels[0, 0, 0]) == 1
+
+
+@rule(FORMAT, "EXT_texture_webp", "approximated", "an image that cannot be read: the texture's own `source` is drawn")
+@pytest.mark.parametrize("image", [{"uri": "missing.webp"}, {"uri": "data:image/webp;base64,AAAA"}])
+def test_a_webp_that_cannot_be_read_has_a_fallback(tmp_path: Path, image: dict[str, Any]) -> None:
+    gltf = Gltf().triangle(FLAT, uvs=UVS, material=0)
+    gltf.image_material({"bufferView": gltf.view(png((7, 0, 0))), "mimeType": "image/png"})
+    gltf.document["materials"][0]["pbrMetallicRoughness"] |= MATTE
+    gltf.document["images"].append(image)
+    gltf.document["textures"][0]["extensions"] = {"EXT_texture_webp": {"source": 1}}
+    mesh = read(gltf, tmp_path)
+    texture = mesh.parts[0].material.texture
+    assert texture is not None and int(texture.pixels[0, 0, 0]) == 7
+    (warning,) = mesh.warnings
+    assert "the WebP image of texture 0 cannot be read; its fallback image is drawn" in warning
 
 
 # Animations

@@ -17,6 +17,7 @@ import math
 import os
 import re
 import struct
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -58,10 +59,6 @@ _MINIFIED: dict[int, tuple[Filter, Filter | None]] = {
 """Value of ``minFilter`` -> filter within a mip level and between levels, None = without levels."""
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _GLOSS = "KHR_materials_pbrSpecularGlossiness"
-_KNOWN_EXTENSIONS = {
-    "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", _GLOSS,
-    "KHR_lights_punctual", "EXT_texture_webp", "KHR_texture_basisu", "EXT_mesh_gpu_instancing", "KHR_node_visibility", DRACO, *MESHOPT,
-}  # fmt: skip
 _METADATA = {"KHR_xmp", "KHR_xmp_json_ld"}
 """Extensions without influence on the picture."""
 _LEFT_OUT = {
@@ -84,6 +81,11 @@ _MATERIAL_EXTENSIONS: dict[str, tuple[str, Any, str]] = {
 """Extension of a material -> property and value with which it has no effect, and what changes without it."""
 
 _READ_MATERIAL_EXTENSIONS = {"KHR_materials_unlit", "KHR_materials_emissive_strength", _GLOSS}
+_KNOWN_EXTENSIONS = {
+    *_READ_MATERIAL_EXTENSIONS, *_MATERIAL_EXTENSIONS, *_LEFT_OUT, "KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp",
+    "KHR_texture_basisu", "EXT_mesh_gpu_instancing", "KHR_node_visibility", DRACO, *MESHOPT,
+}  # fmt: skip
+"""Extensions that are read, or whose absence is named with what changes."""
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 """``baseColorFactor`` of a material that has none."""
 
@@ -96,11 +98,14 @@ _MAPS = {
 """Name of a texture in the file -> field of ``Material``."""
 _TO_Z_UP = np.eye(4)
 _TO_Z_UP[:3, :3] = TO_Z_UP["y"]
+_TRANSFORMS = {"translation", "rotation", "scale"}
 _INSTANCE_WIDTHS = {"TRANSLATION": 3, "ROTATION": 4, "SCALE": 3}
 _Targets = Sequence[tuple[float, dict[str, int]]]
 """Morph targets: weight, and accessors by attribute."""
+_NO_TRANSFORM: dict[str, Any] = {"offset": [0, 0], "rotation": 0, "scale": [1, 1]}
+"""Values of a KHR_texture_transform that change nothing."""
 _UvMapping = tuple[int, dict[str, Any]]
-"""Index of the set of texture coordinates, and the KHR_texture_transform, empty = none."""
+"""Index of the set of texture coordinates, and what a KHR_texture_transform changes, empty = nothing."""
 
 
 def load_gltf(
@@ -129,7 +134,7 @@ def load_gltf(
     if _version(least) > (2, 0):
         raise MeshError(f"{path}: needs glTF {clipped(least, 40)}, 2.0 is read; export it for 2.0")
     for name in document.get("extensionsRequired", []):
-        if name not in _KNOWN_EXTENSIONS and not name.startswith("KHR_materials_"):
+        if name not in _KNOWN_EXTENSIONS | _METADATA:
             raise MeshError(f"{path}: needs glTF extension {name}, which is not supported; export the file without it")
     return _GltfReader(path, document, chunk, textures, files, warn).parts(max_parts)
 
@@ -191,7 +196,7 @@ class _GltfReader:
         self.warn = warn
         self._buffers: dict[int, bytes] = {}
         self._materials: dict[int, Material] = {}
-        self._images: dict[int, Any] = {}
+        self._images: dict[int, tuple[Any, list[str]]] = {}
         self._draco: dict[int, DracoMesh] | None = None
         """Index of a buffer view -> mesh; None = not decoded yet."""
         self._decoded: dict[int, NDArray[Any]] = {}
@@ -231,11 +236,17 @@ class _GltfReader:
         for name in self.document.get("extensionsUsed", []):
             if name in _LEFT_OUT:
                 self.warn(f"{self.path}: {name}: {_LEFT_OUT[name]}")
-            elif name not in _KNOWN_EXTENSIONS | _METADATA and not name.startswith("KHR_materials_"):
+            elif name not in _KNOWN_EXTENSIONS | _METADATA:
                 self.warn(f"{self.path}: extension {clipped(name, 60)} is not read; what it adds or changes is left out")
         scenes = len(self.document.get("scenes", []))
         if scenes > 1:
             self.warn(f"{self.path}: has {scenes} scenes; only scene {self.document.get('scene', 0)} is drawn")
+        both = [k for k, node in enumerate(self.document.get("nodes", [])) if "matrix" in node and _TRANSFORMS & set(node)]
+        if both:
+            which = f"nodes {both[0]} and {len(both) - 1} more have" if len(both) > 1 else f"node {both[0]} has"
+            self.warn(
+                f"{self.path}: {which} a matrix and a translation, rotation or scale, must have one or the other; the matrix is used"
+            )
         if self.document.get("cameras"):
             self.warn(f"{self.path}: its cameras are left out; add cameras to the robot or the scene")
         if any(
@@ -306,7 +317,11 @@ class _GltfReader:
         nodes = self.document.get("nodes", [])
         scenes = self.document.get("scenes")
         if scenes:
-            roots = self._item("scenes", self.document.get("scene", 0)).get("nodes", [])
+            named = self._item("scenes", self.document.get("scene", 0)).get("nodes", [])
+            roots = list(dict.fromkeys(named))
+            if len(roots) < len(named):
+                twice = Counter(named).most_common(1)[0][0]
+                self.warn(f"{self.path}: its scene names node {twice} more than once; each node is drawn once")
         else:
             children = {child for node in nodes for child in node.get("children", [])}
             roots = [k for k in range(len(nodes)) if k not in children]
@@ -315,7 +330,10 @@ class _GltfReader:
         while stack:
             index, parent = stack.pop()
             if index in seen:
-                raise MeshError(f"{self.path}: node {index} has two parents or is its own ancestor; the file is broken")
+                problem = (
+                    "is a child, but also a root of the scene" if index in roots else "has two parents or is its own ancestor"
+                )
+                raise MeshError(f"{self.path}: node {index} {problem}; the file is broken")
             seen.add(index)
             node = self._item("nodes", index)
             if not node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True):
@@ -386,7 +404,9 @@ class _GltfReader:
         source = self._item("materials", primitive["material"])
         colors = {"baseColorTexture"} & set(source.get("pbrMetallicRoughness", {})) | {"diffuseTexture"} & set(_gloss(source))
         unlit = "KHR_materials_unlit" in source.get("extensions", {})
-        return colors | (set() if unlit else {name for name in _MAPS if _map_info(source, name) is not None})
+        return colors | (
+            set() if unlit else {name for name in _MAPS if _map_info(source, name) is not None and _has_effect(source, name)}
+        )
 
     def _morphed(self, name: str, values: NDArray[Any], targets: _Targets) -> NDArray[Any]:
         """Returns an attribute (V, C) with the weighted displacements of morph targets."""
@@ -647,6 +667,8 @@ class _GltfReader:
             if info is None:
                 continue
             if _uv_mapping(info) != mapping:
+                if not _has_effect(source, name):
+                    continue
                 # A second set of coordinates for each vertex would take memory in all scenes, and few need it.
                 self.warn(
                     f"{self.path}: {name} of material {quoted(material.name)} has other texture coordinates than its base colour; left out"
@@ -680,6 +702,7 @@ class _GltfReader:
     def _texture(self, index: int) -> Any:
         texture = self._item("textures", index)
         source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
+        fallback = texture.get("source", source)
         if source is None:
             ktx = "KHR_texture_basisu" in texture.get("extensions", {})
             what = "is KTX2, which is not read" if ktx else "has a format that cannot be read"
@@ -687,9 +710,12 @@ class _GltfReader:
             text = f"{self.path}: texture {index} {what}; the surface is drawn without it{remedy}"
             self.warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             return None
-        if source not in self._images:
-            self._images[source] = self._image(source)
-        image = self._images[source]
+        if source != fallback and self._image_of(source)[1]:
+            self.warn(f"{self.path}: the WebP image of texture {index} cannot be read; its fallback image is drawn")
+            source = fallback
+        image, problems = self._image_of(source)
+        for problem in problems:
+            self.warn(problem)
         return image and self.textures.with_sampling(image, self._sampling(texture))
 
     def _sampling(self, texture: dict[str, Any]) -> Sampling:
@@ -701,19 +727,26 @@ class _GltfReader:
         wraps = (_WRAPS[sampler.get("wrapS", 10497)], _WRAPS[sampler.get("wrapT", 10497)])
         return Sampling(*wraps, "nearest" if sampler.get("magFilter") == 9728 else "linear", minified, between_levels)
 
-    def _image(self, index: int) -> Any:
+    def _image_of(self, index: int) -> tuple[Any, list[str]]:
+        """Returns an image, and the warnings about it; each is read once."""
+        if index not in self._images:
+            problems: list[str] = []
+            self._images[index] = self._image(index, problems.append), problems
+        return self._images[index]
+
+    def _image(self, index: int, warn: Warn) -> Any:
         image = self._item("images", index)
         name = f"{self.path}: image {index}"
         if "bufferView" in image:
             view = self._item("bufferViews", image["bufferView"])
             data = self._view(image["bufferView"], 0, np.dtype("u1"), int(view["byteLength"]), 1).tobytes()
-            return self.textures.from_bytes(name, data, self.warn)
+            return self.textures.from_bytes(name, data, warn)
         uri = image.get("uri")
         if uri is None:
             raise MeshError(f"{self.path}: image {index} has neither uri nor bufferView; the file is broken, export it again")
         if uri.startswith("data:"):
-            return self.textures.from_bytes(name, _data_uri(uri), self.warn)
-        return self.textures.from_uri(uri, self.path, self.files, self.warn)
+            return self.textures.from_bytes(name, _data_uri(uri), warn)
+        return self.textures.from_uri(uri, self.path, self.files, warn)
 
 
 def _gloss(source: dict[str, Any]) -> dict[str, Any]:
@@ -734,10 +767,19 @@ def _map_info(source: dict[str, Any], name: str) -> dict[str, Any] | None:
     return info
 
 
+def _has_effect(source: dict[str, Any], name: str) -> bool:
+    """Returns whether a texture of a material changes the picture: its factor is not 0."""
+    if name == "emissiveTexture":
+        strength = source.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
+        return bool(strength) and any(source.get("emissiveFactor", ()))
+    return name != "occlusionTexture" or bool(source[name].get("strength", 1.0))
+
+
 def _uv_mapping(info: dict[str, Any]) -> _UvMapping:
     """Returns the mapping of a textureInfo."""
-    transform = info.get("extensions", {}).get("KHR_texture_transform", {})
-    return int(transform.get("texCoord", info.get("texCoord", 0))), {k: v for k, v in transform.items() if k != "texCoord"}
+    given = info.get("extensions", {}).get("KHR_texture_transform", {})
+    transform = {k: given[k] for k, neutral in _NO_TRANSFORM.items() if given.get(k, neutral) != neutral}
+    return int(given.get("texCoord", info.get("texCoord", 0))), transform
 
 
 def _clamped(value: Any, high: float = 1.0) -> float:
