@@ -45,10 +45,13 @@ class Cdr:
         return b"\0\1\0\0" + self.data
 
 
-def move(entity: str, x: float, y: float, yaw: float = 0.0) -> bytes:
+def move(
+    entity: str, x: float, y: float, yaw: float = 0.0, *, speed: float = 0.0, push: float = 0.0, frame: str = "map"
+) -> bytes:
     """A request of SetEntityState: entity; header, pose, twist and acceleration."""
-    cdr = Cdr().text(entity).add("I", 0, 0).text("map").add("d", x, y, 0.0)
-    return cdr.add("d", 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2), *[0.0] * 12).message
+    cdr = Cdr().text(entity).add("I", 0, 0).text(frame).add("d", x, y, 0.0)
+    cdr.add("d", 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+    return cdr.add("d", speed, *[0.0] * 5, push, *[0.0] * 5).message
 
 
 def joints(*names: str) -> bytes:
@@ -83,14 +86,49 @@ def found(
     return None if calls is None else calls.what.partition("; the scenario")[0]
 
 
-def walked(t: float, late: float = 0.0) -> JournalEntry:
-    return entry("/set_entity_state", move("anna", *person_pose(ANNA, t)), t + late, 7)
+def walked(t: float, late: float = 0.0, **changes: Any) -> JournalEntry:
+    return entry("/set_entity_state", move("anna", *person_pose(ANNA, t), **changes), t + late, 7)
+
+
+STEPS = [walked(tick / 30.0) for tick in range(600)]
+"""The requests of 20 s, every other tick of 60 Hz."""
 
 
 def test_requests_of_the_trial_are_not_foreign() -> None:
-    steps = [walked(tick / 30.0) for tick in range(400)]
-    assert found([*SET_UP, *steps, entry("/cmd_vel", b"")]) is None
+    assert found([*SET_UP, *STEPS, entry("/cmd_vel", b"")]) is None
+    there_and_back = [walked(tick / 30.0) for tick in range(3000)]  # 18 m at 0.8 m/s: after 22.5 s she begins again
+    assert found([*SET_UP, *there_and_back]) is None
     assert found([*SET_UP, walked(2.0, late=0.7), walked(2.0 + 1 / 30, late=9.0)]) is None, "a busy machine moves her late"
+
+
+def test_person_who_stands_is_placed_again_and_again() -> None:
+    stands = replace(ANNA, path=((1.0, 2.0),))
+    steps = [entry("/set_entity_state", move("anna", 1.0, 2.0), tick / 30.0, 7) for tick in range(600)]
+    assert foreign_calls(scenario(), replace(RUN, people=(stands,)), Outcome("reached", "", True, 0), steps) is None
+
+
+@pytest.mark.parametrize(
+    "cheat",
+    [
+        walked(10.0 - 9.5, late=9.5),
+        walked(10.0),
+        walked(10.0 - 1 / 30, late=1 / 30),
+        walked(10.0 + 1 / 60, speed=50.0),
+        walked(10.0 + 1 / 60, push=50.0),
+        walked(10.0 + 1 / 60, frame="robot"),
+        walked(10.5, late=-0.4),
+    ],
+    ids=["sent back", "twice", "a tick back", "with a velocity", "with an acceleration", "in another frame", "ahead"],
+)
+def test_person_is_moved_only_as_planned(cheat: JournalEntry) -> None:
+    """Its own request of 10 s has come when another node moves the person."""
+    entries = [*SET_UP, *STEPS[:301], cheat, *STEPS[301:]]
+    assert found(entries) == "foreign call: a node other than the trial's called /set_entity_state of 'anna'"
+
+
+def test_person_walks_again_after_a_reset_that_the_scenario_allows() -> None:
+    entries = [*SET_UP, *STEPS, entry("/reset_simulation", state(0), 20.0, 7), *STEPS]
+    assert found(entries, "reset_simulation") is None
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,11 @@ from typing import Any
 
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.quoting import quoted
-from gibson_sim.standard.requests import CONTROLS
+from gibson_sim.standard.requests import CONTROLS, EPOCH_REQUESTS
 from gibson_sim.trials.execution.walking import person_pose
-from gibson_sim.trials.records import Outcome, PlanarPose, RunSpec
+from gibson_sim.trials.records import Outcome, Person, PlanarPose, RunSpec
 from gibson_sim.trials.scenario_spec import Scenario
-from gibson_sim.types import NS_PER_S
+from gibson_sim.types import NS_PER_S, WORLD_FRAME
 
 TIME_CONTROL = "time_control"
 """Last part of the name of the topic with the requests that change how time passes."""
@@ -75,9 +75,11 @@ class ForeignCalls:
 
 def foreign_calls(scenario: Scenario, run: RunSpec, outcome: Outcome, entries: Collection[JournalEntry]) -> ForeignCalls | None:
     """Returns the requests in the journal of a run that the trial did not make and the scenario does not allow; None = there are none."""
-    own, allowed = _OwnRequests(run), scenario.stack.allowed_calls
+    allowed = scenario.stack.allowed_calls
     reported = (JournalEntry(stamp, step, name, bytes.fromhex(data)) for stamp, step, name, data in outcome.time_calls)
     in_order = sorted([*entries, *(entry for entry in reported if entry not in entries)], key=lambda entry: entry.stamp_ns)
+    # After a reset that the scenario allows, time begins anew, and people walk the same way again.
+    own = _OwnRequests(run, in_order=not any(entry.kind in EPOCH_REQUESTS and entry.kind in allowed for entry in in_order))
     found = [entry for entry in in_order if entry.kind in CONTROLS and not own.has(entry) and entry.kind not in allowed]
     if not found:
         return None
@@ -95,13 +97,17 @@ def foreign_calls(scenario: Scenario, run: RunSpec, outcome: Outcome, entries: C
 class _OwnRequests:
     """The requests that the trial makes in a run."""
 
-    def __init__(self, run: RunSpec) -> None:
+    def __init__(self, run: RunSpec, *, in_order: bool) -> None:
+        """``in_order``: whether people never move back on their ways through time."""
         self._people = {person.name: person for person in run.people}
         self._spawned = {thing.name for thing in run.things} | set(self._people)
         """Entities that the trial has not spawned yet."""
         self._doors = set(run.closed_doors)
         """Bodies whose doors the trial has not closed yet."""
         self._is_playing = False
+        self._in_order = in_order
+        self._placed: dict[str, int] = {}
+        """Person -> tick of the plan at which the newest of its requests places it."""
         self._tick_s = 1.0 / float(run.physics.get("publish_hz", PhysicsConfig().publish_hz))
 
     def has(self, entry: JournalEntry) -> bool:
@@ -114,13 +120,7 @@ class _OwnRequests:
     def _has(self, entry: JournalEntry, request: _Cdr) -> bool:
         if entry.kind == "set_entity_state":
             person = self._people.get(request.text())
-            if person is None:
-                return False
-            request.skip_header()
-            pose, stamp_s = request.doubles(7), entry.stamp_ns / NS_PER_S
-            last = math.floor(stamp_s / self._tick_s + 0.5)
-            ticks = range(last, max(-1, last - math.ceil(LATE_S / self._tick_s)), -1)
-            return any(_is_at(pose, person_pose(person, tick * self._tick_s)) for tick in ticks)
+            return person is not None and self._is_walking(person, entry.stamp_ns / NS_PER_S, request)
         if entry.kind == "spawn_entity" and not entry.step:
             name = request.text()
             is_own = name in self._spawned
@@ -131,12 +131,32 @@ class _OwnRequests:
             self._is_playing |= is_own
             return is_own
         if entry.kind == "object_joint_command":
-            request.skip_header()
+            request.frame()
             bodies = {name.rpartition("/")[0] for name in request.texts()}
             is_own = bodies <= self._doors and bool(self._doors)
             self._doors -= self._doors if is_own else set()
             return is_own
         return False
+
+    def _is_walking(self, person: Person, stamp_s: float, request: _Cdr) -> bool:
+        """Returns whether a request places a person as planned at a tick up to a stamp, s, at most ``LATE_S`` before it.
+
+        Each tick counts once, and only after those before it: the trial may be late, but never sends a person back or anywhere twice. It
+        sends no velocities.
+        """
+        frame, pose, motion = request.frame(), request.doubles(7), request.doubles(12)
+        if frame != WORLD_FRAME or any(motion):
+            return False
+        last = math.floor(stamp_s / self._tick_s + 0.5)
+        first = max(0, last - math.ceil(LATE_S / self._tick_s) + 1)
+        if self._in_order:
+            first = max(first, self._placed.get(person.name, -1) + 1)
+        # The earliest tick: on a way to and fro, a person is at a place several times, and later requests need the later ticks.
+        ticks = range(first, last + 1)
+        tick = next((tick for tick in ticks if _is_at(pose, person_pose(person, tick * self._tick_s))), None)
+        if tick is not None:
+            self._placed[person.name] = tick
+        return tick is not None
 
 
 def _is_at(pose: tuple[float, ...], expected: PlanarPose) -> bool:
@@ -165,7 +185,7 @@ def _about(kind: str, request: _Cdr) -> str:
         request.number("q")
         return f" ({quoted(name).strip(chr(39))} {request.number('d'):g})"
     if kind == "object_joint_command":
-        request.skip_header()
+        request.frame()
         names = request.texts()
         return f" of {quoted(names[0])}" + (f" and {len(names) - 1} more" if len(names) > 1 else "") if names else ""
     return ""
@@ -202,10 +222,10 @@ class _Cdr:
             raise ValueError("there are too many texts")
         return [self.text() for _ in range(count)]
 
-    def skip_header(self) -> None:
-        """Skips a std_msgs/Header."""
+    def frame(self) -> str:
+        """Returns the frame of the std_msgs/Header that is next."""
         self._unpack("I", 2)
-        self.text()
+        return self.text()
 
     def _unpack(self, code: str, count: int) -> tuple[Any, ...]:
         size = struct.calcsize(code)
