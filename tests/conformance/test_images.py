@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -133,3 +135,59 @@ def test_other_kinds_are_named(tmp_path: Path, suffix: str) -> None:
     mesh = _textured(tmp_path, f"wood{suffix}", b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(60))
     (warning,) = mesh.warnings
     assert f"wood{suffix} cannot be decoded" in warning
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (b"P6 1 1 100\n" + bytes([100, 50, 0]), [255, 128, 0]),
+        (b"P6\n# a\n1 # b\n1\n1023\n" + struct.pack(">3H", 1023, 511, 0), [255, 127, 0]),
+        (b"P5 1 1 15\n\x05", [85, 85, 85]),
+        (b"P3 1 1 15 15 5 0\n", [255, 85, 0]),
+        (b"P3 1 1 1023 1023 511 0\n", [255, 127, 0]),
+        (b"P2 1 1 255 7\n", [7, 7, 7]),
+        (b"P4 1 1\n\x80", [0, 0, 0]),
+    ],
+)
+@rule(FORMAT, "PGM, PPM: maxval", "done", "values are proportional to it")
+def test_values_of_a_pnm_are_proportional_to_its_maximum(data: bytes, expected: list[int]) -> None:
+    pixels = decode_image(data)
+    assert pixels is not None
+    assert pixels.tolist() == [[expected]]
+
+
+def _grey_png(bits: int, row: bytes, transparent: int) -> bytes:
+    """Returns a greyscale PNG of 2 x 1 pixels with a transparent value."""
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", 2, 1, bits, 0, 0, 0, 0)), (b"tRNS", struct.pack(">H", transparent)),
+        (b"IDAT", zlib.compress(b"\0" + row)), (b"IEND", b""),
+    ]  # fmt: skip
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
+    )
+
+
+@pytest.mark.parametrize(
+    ("bits", "row", "transparent", "greys"),
+    [
+        (1, b"\x40", 0, (0, 255)), (2, b"\x60", 1, (85, 170)), (4, b"\x3a", 3, (51, 170)), (8, b"\x03\x04", 3, (3, 4)),
+        (16, struct.pack(">HH", 1000, 1001), 1000, (3, 3)),
+    ],
+)  # fmt: skip
+@rule(FORMAT, "PNG tRNS of 1, 2, 4, 8 and 16 bit grey", "done", "compared at the depth of the file")
+def test_transparent_grey_of_every_depth(bits: int, row: bytes, transparent: int, greys: tuple[int, int]) -> None:
+    pixels = decode_image(_grey_png(bits, row, transparent))
+    assert pixels is not None
+    assert pixels.tolist() == [[[greys[0]] * 3 + [0], [greys[1]] * 3 + [255]]]
+
+
+@pytest.mark.parametrize("has_palette", [False, True])
+@rule(FORMAT, "TGA of 16 bits", "done", "its highest bit: 1 = opaque, if the header counts one attribute bit; else it is unused")
+def test_attribute_bit_of_a_tga(has_palette: bool) -> None:
+    colors = struct.pack("<HH", 0x8000 | 31 << 10, 31 << 5)  # red with the bit, green without
+    for descriptor, expected in ((0x20, [[255, 0, 0], [0, 255, 0]]), (0x21, [[255, 0, 0, 255], [0, 255, 0, 0]])):
+        head = [0, 1, 1, 0, 0, 2, 0, 16] if has_palette else [0, 0, 2, 0, 0, 0, 0, 0]
+        size = [0, 0, 0, 0, 2, 0, 1, 0, 8 if has_palette else 16, descriptor]
+        pixels = decode_image(bytes(head + size) + colors + (b"\0\1" if has_palette else b""))
+        assert pixels is not None
+        assert pixels.tolist() == [expected]

@@ -19,7 +19,8 @@ _LARGE_CHUNK = 64 * 2**20
 """Chunks of a PNG that claim more bytes than this and than the whole file has are invalid: OpenCV allocates what they claim, up to 2 GB."""
 _JPEG_SIZES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 3, 2: 3, 3: 4, 4: 4, 6: 4}
-_PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
+_SPACE = rb"(?:\s|#[^\n]*\n)+"
+_PNM = re.compile(rb"P([1-6])" + _SPACE + rb"(\d+)" + _SPACE + rb"(\d+)(?:" + _SPACE + rb"(\d+))?")
 _RADIANCE = re.compile(rb"[-+]Y\s+(\d+)\s+[-+]X\s+(\d+)")
 
 
@@ -35,7 +36,11 @@ class ImageHeader:
     """Channels of the decoded image, 3 or 4."""
 
     kind: str = ""
-    """Name in Pillow of kinds that OpenCV cannot decode, or not with their alpha: TGA, TIFF, BMP, GIF, PNG with a transparent grey; else ""."""
+    """Name in Pillow of kinds that OpenCV cannot decode, or not with their alpha: TGA, TIFF, BMP, GIF; else ""."""
+    white: int = 0
+    """Value of white in a PNM whose values OpenCV does not scale; 0 = the largest of the type."""
+    transparent_grey: int | None = None
+    """Value of the transparent pixels of a greyscale PNG, as OpenCV decodes it (8 bits, or 16); None = all are opaque."""
 
     @property
     def pixels(self) -> int:
@@ -76,20 +81,25 @@ def _size(data: bytes) -> ImageHeader | None:
         return None if match is None else ImageHeader(int(match[2]), int(match[1]), 3)
     match = _PNM.match(data[:4096])
     if match is not None:
-        return ImageHeader(int(match[1]), int(match[2]), 3)
+        white = int(match[4] or 0) if match[1] not in b"14" else 0
+        # OpenCV scales text of 8 bits only.
+        return ImageHeader(int(match[2]), int(match[3]), 3, white=0 if match[1] in b"23" and white < 256 else white)
     return _tga(data)
 
 
 def _png(data: bytes) -> ImageHeader | None:
     width, height = struct.unpack_from(">II", data, 16)
     at = 8
-    has_grey_key = False
+    grey: int | None = None
     for _ in range(_MAX_CHUNKS):
         if at + 8 > len(data) or data[at + 4 : at + 8] == b"IEND":  # decoders ignore what follows
-            channels = 4 if has_grey_key else _PNG_CHANNELS.get(data[25], 4)
-            return ImageHeader(width, height, channels, "PNG" if has_grey_key else "")
+            channels = 4 if grey is not None else _PNG_CHANNELS.get(data[25], 4)
+            return ImageHeader(width, height, channels, transparent_grey=grey)
         (length,) = struct.unpack_from(">I", data, at)
-        has_grey_key |= data[25] == 0 and data[at + 4 : at + 8] == b"tRNS"
+        if data[25] == 0 and length == 2 and data[at + 4 : at + 8] == b"tRNS":
+            largest = 2 ** data[24] - 1
+            (value,) = struct.unpack_from(">H", data, at + 8)
+            grey = (value & largest) * (max(largest, 255) // max(largest, 1))
         if length > max(len(data), _LARGE_CHUNK):
             return None
         at += 12 + length
@@ -142,4 +152,6 @@ def _tga(data: bytes) -> ImageHeader | None:
     if len(data) < 18 or data[1] not in (0, 1) or data[2] not in (1, 2, 3, 9, 10, 11) or data[16] not in (8, 15, 16, 24, 32):
         return None
     width, height = struct.unpack_from("<HH", data, 12)
-    return ImageHeader(width, height, 4 if data[16] == 32 else 3, "TGA")
+    bits = data[7] if data[2] in (1, 9) else data[16]
+    has_opacity = bits == 32 or (bits == 16 and (data[17] & 15 > 0 or data[2] in (3, 11)))
+    return ImageHeader(width, height, 4 if has_opacity else 3, "TGA")

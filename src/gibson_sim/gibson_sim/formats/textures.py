@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.file_roots import find_ignoring_case, is_inside
-from gibson_sim.formats.image_header import MAX_IMAGE_BYTES, MAX_PIXELS, image_size
+from gibson_sim.formats.image_header import MAX_IMAGE_BYTES, MAX_PIXELS, ImageHeader, image_size
 from gibson_sim.formats.mesh import Sampling, TextureSource
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder, read_file
@@ -208,25 +208,31 @@ def decode_image(data: bytes) -> NDArray[np.uint8] | None:
     """Returns the pixels of an encoded image, (H, W, 3) RGB or (H, W, 4) RGBA uint8, or None if it cannot be decoded."""
     size = image_size(data)
     if size is not None and size.kind and size.pixels <= MAX_PIXELS:
-        image = _decode_by_pillow(data, size.kind)
+        image = _decode_by_pillow(data, size)
         if image is not None:
             return image
     image = decode_pixels(data, cv2.IMREAD_UNCHANGED)
-    if image is None:
+    if image is None or size is None:
         return None
-    if image.dtype == np.uint16:
+    opacity: NDArray[np.uint8] | None = None
+    if size.transparent_grey is not None and image.ndim == 2:
+        opacity = np.where(image == size.transparent_grey, 0, 255).astype(np.uint8)
+    if size.white not in (0, np.iinfo(image.dtype).max if image.dtype.kind == "u" else 0):
+        image = np.rint(np.minimum(image / size.white, 1.0) * 255.0).astype(np.uint8)
+    elif image.dtype == np.uint16:
         image = (image // 257).astype(np.uint8)
     elif image.dtype != np.uint8:
         image = np.clip(image * 255.0, 0, 255).astype(np.uint8)
     if image.ndim == 2 or image.shape[2] == 1:
-        return np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
+        grey = np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
+        return grey if opacity is None else np.dstack([grey, opacity])
     if image.shape[2] == 2:
         return np.concatenate([np.repeat(image[:, :, :1], 3, axis=2), image[:, :, 1:]], axis=2)
     code = cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
     return np.asarray(cv2.cvtColor(image, code), dtype=np.uint8)
 
 
-def _decode_by_pillow(data: bytes, kind: str) -> NDArray[np.uint8] | None:
+def _decode_by_pillow(data: bytes, size: ImageHeader) -> NDArray[np.uint8] | None:
     """Returns the pixels of an image of a kind that OpenCV cannot decode, or not its alpha: (H, W, 3) RGB or (H, W, 4) RGBA uint8.
 
     None if Pillow cannot decode it either, or not to 8 bits.
@@ -235,9 +241,16 @@ def _decode_by_pillow(data: bytes, kind: str) -> NDArray[np.uint8] | None:
     from PIL import Image
 
     try:
-        with Image.open(io.BytesIO(data), formats=[kind]) as image:
+        with Image.open(io.BytesIO(data), formats=[size.kind]) as image:
             if image.mode in ("F", "I", "I;16", "I;16B"):
                 return None
-            return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
+            if size.kind == "TGA" and size.channels == 3:
+                # Pillow takes the unused bit of 16 for opacity.
+                return np.array(image.convert("RGBA"))[:, :, :3].copy()
+            pixels = np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
+            if size.kind == "TGA" and data[7 if data[2] in (1, 9) else 16] == 16 and image.mode != "LA" and pixels.shape[2] == 4:
+                # 1 = opaque in most programs, but not in Pillow.
+                pixels[:, :, 3] = 255 - pixels[:, :, 3]
+            return pixels
     except (OSError, ValueError, SyntaxError, IndexError, struct.error, Image.DecompressionBombError):
         return None
