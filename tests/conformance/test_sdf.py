@@ -498,7 +498,12 @@ def test_textures_of_pbr_materials_are_named(tmp_path: Path) -> None:
     assert warned(warnings, "texture a.png and 1 more of its <pbr> material are not drawn")
 
 
-@rule(FORMAT, "material/script", "approximated", "Gazebo's plain colours; others are named")
+@rule(
+    FORMAT,
+    "material/script",
+    "approximated",
+    "Gazebo's plain colours; `.material` files of OGRE are not read, and named: convert them to `<pbr>`",
+)
 def test_scripts_of_gazebo_are_colours(tmp_path: Path) -> None:
     assert _color(tmp_path, "<script><name>Gazebo/Red</name></script>") == ((1.0, 0.0, 0.0, 1.0), ())
     assert warned(_color(tmp_path, "<script><name>My/Wood</name></script>")[1], "material script My/Wood is not read")
