@@ -53,7 +53,10 @@ def look_of(element: Element, textured: bool, where: str, warn: Warn) -> Look:
     script = text_of(material, "script/name")
     colors = {tag: _color(material, tag, where, warn) for tag in ("ambient", "diffuse", "emissive")}
     if script.removeprefix("Gazebo/") not in _SCRIPT_COLORS and script and colors["diffuse"] is None:
-        text = f"material script {clipped(script, 80)} is not read: its texture and colours are not drawn; Gazebo Classic's .material files are not read, use <pbr> or <diffuse>"
+        text = (
+            f"material script {clipped(script, 80)} is not read: its texture and colours are not drawn; Gazebo Classic's .material files are "
+            "not read, use <pbr> or <diffuse>"
+        )
         warn(f"{where}: {text}", OmissionKind.UNSUPPORTED_ASSET)
     _name_textures(material, textured, where, warn)
     base = _base_color(element, colors, textured, where, warn)
