@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
+from gibson_sim.bags.check import check_bag
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.writer import BagWriter, TopicQos, repair
 from gibson_sim.cli.command_line import run as run_command
@@ -341,3 +342,114 @@ def test_statistics_that_contradict_themselves_report_no_loss(bag: Path) -> None
     result = repair(bag)
     assert "the statistics are wrong" in result.text()
     assert (result.complete, dict(result.lost), _read(bag)) == (True, {}, WHOLE)
+
+
+@pytest.mark.parametrize("place", ["behind it", "at the end"])
+def test_copy_of_a_chunk_is_written_once_and_named(bag: Path, place: str) -> None:
+    file = bag / "bag_0.mcap"
+    whole = file.read_bytes()
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    second = summary.chunk_indexes[1]
+    begin, end = second.chunk_start_offset, second.chunk_start_offset + second.chunk_length + second.message_index_length
+    last = summary.chunk_indexes[-1]
+    at = end if place == "behind it" else last.chunk_start_offset + last.chunk_length + last.message_index_length
+    file.write_bytes(whole[:at] + whole[begin:end] + whole[at:])
+    result = repair(bag)
+    assert f"the chunk at byte {at} is a copy of that at byte {begin}: its 2 messages count once" in result.text()
+    assert (result.messages, result.lost) == (20, {})
+    assert _read(bag) == WHOLE
+    assert not repair(bag).changed
+
+
+def test_copy_that_hides_another_chunk_does_not_hide_its_loss(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    whole = file.read_bytes()
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    spans = [
+        (c.chunk_start_offset, c.chunk_start_offset + c.chunk_length + c.message_index_length) for c in summary.chunk_indexes
+    ]
+    file.write_bytes(whole[: spans[1][0]] + whole[spans[0][0] : spans[0][1]] + whole[spans[1][1] :])
+    result = repair(bag)
+    assert (result.messages, sum(result.lost.values())) == (18, 2)
+    assert _read(bag) == WHOLE[:2] + WHOLE[4:]
+
+
+def test_chunks_that_are_alike_and_counted_are_all_kept(tmp_path: Path, messages: Any) -> None:
+    """The recording of a paused simulation: the same message again and again, at the same time."""
+    file = tmp_path / "bag_0.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream, chunk_size=10)
+        writer.start("ros2", "test")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for _ in range(5):
+            writer.add_message(channel, 100, messages.text("same"), 100)
+        writer.finish()
+    result = repair(tmp_path)
+    assert result.messages == 5
+    assert " copy of " not in result.text()
+
+
+def test_empty_file_whose_messages_the_metadata_lists_names_them_as_lost(bag: Path) -> None:
+    (bag / "bag_0.mcap").write_bytes(b"")
+    with pytest.raises(RecordError) as caught:
+        repair(bag)
+    assert str(caught.value) == (
+        f"{bag / 'bag_0.mcap'} is empty (0 bytes): the 20 messages that metadata.yaml lists in it are lost: nothing can be repaired; "
+        "restore the file from a copy"
+    )
+
+
+def _split_bag(folder: Path, messages: Any) -> Path:
+    """Two files of five messages each."""
+    with BagWriter(folder, reserve_bytes=0) as writer:
+        writer.add_topic("/a", STRING)
+        for i in range(10):
+            if i == 5:
+                writer.split()
+            writer.write("/a", messages.text("text"), 100 + i, i)
+    return folder
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_empty_file_among_others_names_its_messages_as_lost(tmp_path: Path, messages: Any, number: int) -> None:
+    bag = _split_bag(tmp_path / "bag", messages)
+    name = f"bag_{number}.mcap"
+    (bag / name).write_bytes(b"")
+    result = repair(bag)
+    assert (
+        f"{bag / name} is empty (0 bytes): the 5 messages that metadata.yaml lists in it are lost; it is left out"
+        in result.text()
+    )
+    assert (result.messages, dict(result.lost), result.complete) == (5, {"/a": 5}, False)
+
+
+def test_file_that_is_gone_is_a_loss(tmp_path: Path, messages: Any) -> None:
+    bag = _split_bag(tmp_path / "bag", messages)
+    (bag / "bag_1.mcap").unlink()
+    assert dict(repair(bag).lost) == {"/a": 5}
+
+
+def test_check_says_that_the_bag_was_repaired_and_what_was_lost(bag: Path) -> None:
+    os.truncate(bag / "bag_0.mcap", _chunk_ends(bag / "bag_0.mcap")[4])
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text())
+    metadata["rosbag2_bagfile_information"]["custom_data"] = {"operator": "anna"}
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    assert sum(repair(bag).lost.values()) == 10
+    assert "note: the bag was repaired: 10 of 20 messages lost" in check_bag(bag).findings()
+    custom = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]["custom_data"]
+    assert custom == {"operator": "anna", "gibson_sim_repaired": "10 of 20 messages lost"}
+    assert not repair(bag).changed
+    os.truncate(bag / "bag_0.mcap", _chunk_ends(bag / "bag_0.mcap")[3])
+    repair(bag)
+    assert check_bag(bag).notes == ("the bag was repaired: 10 of 20 messages lost; 2 of 10 messages lost",)
+
+
+def test_check_says_nothing_of_a_repair_that_lost_nothing(bag: Path) -> None:
+    os.truncate(bag / "bag_0.mcap", (bag / "bag_0.mcap").stat().st_size - 20)
+    repair(bag)
+    assert check_bag(bag).notes == ()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, IMAGE_TYPES, base_topic
+from gibson_sim.bags.metadata import REPAIRED, read_metadata
 from gibson_sim.bags.plots.rates import (
     camera_rate_of,
     camera_rates,
@@ -227,7 +228,7 @@ def check_bag(folder: str | Path) -> BagReport:
         data, rates = _collect(bag, infos), camera_rates(bag)
         first_ns, last_ns = bag.span_ns
     problems = _order_problems(infos, data)
-    notes: list[str] = []
+    notes = _repair_notes(Path(folder))
     compared = dict.fromkeys(("its camera_info", "an odometry"), 0)
     images = [topic for topic, info in infos.items() if info.type_name in IMAGE_TYPES and info.count]
     for topic in images:
@@ -280,6 +281,13 @@ def _collect(bag: BagReader, infos: dict[str, TopicInfo]) -> _Collected:
     data.poses = {topic: np.array(values, dtype=np.float64).reshape(-1, 3) for topic, values in poses.items()}
     data.touches = touches.touches()
     return data
+
+
+def _repair_notes(folder: Path) -> list[str]:
+    """Returns a note on what was lost when the bag was repaired, if it was."""
+    custom = read_metadata(folder).get("custom_data")
+    mark = custom.get(REPAIRED) if isinstance(custom, dict) else None
+    return [f"the bag was repaired: {' '.join(str(mark).split()):.300}"] if mark else []
 
 
 def _missing_notes(reports: Iterable[TopicReport]) -> list[str]:

@@ -15,6 +15,8 @@ from gibson_sim.reading import parse_yaml, read_yaml_file
 from gibson_sim.types import NS_PER_S
 
 METADATA_FILE = "metadata.yaml"
+REPAIRED = "gibson_sim_repaired"
+"""Key of ``custom_data`` that says what a repair of the bag lost."""
 VERSION = 9
 ROS_DISTRO = "jazzy"
 FOREVER_NS = 2**63 - 1

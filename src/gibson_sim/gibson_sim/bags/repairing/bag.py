@@ -17,6 +17,7 @@ from typing import Any
 
 from gibson_sim.bags.metadata import (
     METADATA_FILE,
+    REPAIRED,
     TopicRecord,
     bag_information,
     listed_topics,
@@ -123,21 +124,23 @@ def repair(folder: str | Path) -> Repair:
             try:
                 repairs.append(_repair_file(path, storage, known))
             except EmptyFileError as error:
+                lost_text = _lost_with(path, information, is_only=len(paths) == 1)
                 if len(paths) == 1:
-                    raise
-                notes.append(f"{error}; it is left out")
+                    raise RecordError(lost_text or str(error)) from error
+                notes.append(f"{lost_text or error}; it is left out")
         contents = [one.contents for one in repairs]
         is_listed = _is_listed(information, contents)
-        if not is_listed:
-            if (folder / METADATA_FILE).exists():
-                notes.append(f"{METADATA_FILE}: written anew; the file as it was is kept as {_keep(folder / METADATA_FILE)}")
-            else:
-                notes.append(f"{METADATA_FILE}: was missing, written")
-            _write_metadata(folder, storage, contents, information)
         lost = _lost(repairs, information)
         proven = not lost and _listed_counts(information) is not None
         complete = not lost and (proven or all(one.harmless for one in repairs))
         changed = not is_listed or any(one.changed for one in repairs)
+        mark = _mark(sum(one.count for one in contents), lost.total()) if changed and not complete else ""
+        if not is_listed or mark:
+            if (folder / METADATA_FILE).exists():
+                notes.append(f"{METADATA_FILE}: written anew; the file as it was is kept as {_keep(folder / METADATA_FILE)}")
+            else:
+                notes.append(f"{METADATA_FILE}: was missing, written")
+            _write_metadata(folder, storage, contents, information, mark)
         return Repair(folder, tuple(repairs), lost, complete, tuple(notes), changed)
     except OSError as error:
         raise RecordError(
@@ -267,16 +270,55 @@ def _lost(repairs: list[FileRepair], information: Mapping[str, Any]) -> Counter[
     for one in repairs:
         listed_by_files += one.listed if one.listed is not None else _counts([one.contents])
     lost = listed_by_files - found
-    # A file that was whole, or is proven to be now, tells more than the metadata.
-    if not all(one.sure for one in repairs):
+    # A file that was whole, or is proven to be now, tells more than the metadata; a file that is gone tells nothing.
+    names = information.get("relative_file_paths")
+    are_gone = isinstance(names, list) and not {one.contents.path.name for one in repairs}.issuperset(map(str, names))
+    if are_gone or not all(one.sure for one in repairs):
         for topic, count in (_listed_counts(information) or Counter()).items():
             if count > found[topic]:
                 lost[topic] = max(lost[topic], count - found[topic])
     return lost
 
 
-def _write_metadata(folder: Path, storage: Storage, contents: list[FileContents], before: Mapping[str, Any]) -> None:
-    """Writes ``metadata.yaml`` for a bag of these files; what the user added to the metadata ``before`` is kept."""
+def _lost_with(path: Path, information: Mapping[str, Any], *, is_only: bool) -> str:
+    """Returns what is lost with a file that ends before its first record, one line; empty = the metadata lists no message of it.
+
+    Args:
+        path: the file.
+        information: metadata of the bag.
+        is_only: whether the bag has no other file.
+    """
+    files = information.get("files")
+    entries = [one for one in files if isinstance(one, dict) and one.get("path") == path.name] if isinstance(files, list) else []
+    count = entries[0].get("message_count") if entries else information.get("message_count") if is_only else None
+    if not isinstance(count, int) or count < 1:
+        return ""
+    state = "ends before its first record" if path.stat().st_size else "is empty (0 bytes)"
+    hint = ": nothing can be repaired; restore the file from a copy" if is_only else ""
+    return f"{path} {state}: the {count} messages that {METADATA_FILE} lists in it are lost{hint}"
+
+
+def _mark(kept: int, lost: int) -> str:
+    """Returns what the metadata of a repaired bag says about its losses, from the numbers of messages."""
+    return (
+        f"{lost} of {kept + lost} messages lost"
+        if lost
+        else "parts of it were damaged; how many messages were in them is not known"
+    )
+
+
+def _write_metadata(
+    folder: Path, storage: Storage, contents: list[FileContents], before: Mapping[str, Any], mark: str = ""
+) -> None:  # fmt: skip
+    """Writes ``metadata.yaml`` for a bag of these files.
+
+    Args:
+        folder: folder of the bag.
+        storage: format of the files.
+        contents: the files, in order.
+        before: metadata as it was: what the user added to it is kept.
+        mark: what a repair lost, see ``REPAIRED``; empty = nothing.
+    """
     topics: dict[str, TopicRecord] = {}
     for topic in (topic for c in contents for topic in c.topics):
         earlier = topics.get(topic.name)
@@ -284,6 +326,10 @@ def _write_metadata(folder: Path, storage: Storage, contents: list[FileContents]
         topics[topic.name] = TopicRecord(topic.name, topic.type_name, topic.qos, topic.type_hash, count)
     information = bag_information(list(topics.values()), [c.record for c in contents], storage)
     kept = {name: before[name] for name in ("custom_data", "ros_distro") if before.get(name) is not None}
+    if mark:
+        custom = kept.get("custom_data")
+        custom = custom if isinstance(custom, dict) else {}
+        kept["custom_data"] = custom | {REPAIRED: "; ".join(filter(None, (str(custom.get(REPAIRED) or ""), mark)))}
     write_metadata(folder, information | kept)
 
 

@@ -271,10 +271,34 @@ class _Scanner:
                 self._last = self._run = None
                 position = end
         self._check_end()
+        self._drop_copies()
         self._choose(known_topics)
         self._check_summary()
         self._found.unchecked = sum(sum(chunk.counts.values()) for chunk in self._found.chunks if not chunk.crc)
         return self._found
+
+    def _drop_copies(self) -> None:
+        """Drops each chunk whose bytes the file has before already, unless the statistics and the index count it, too."""
+        found = self._found
+        is_counted = self._statistics is not None and self._statistics.message_count == found.counts.total()
+        if is_counted and (not self._chunk_indices or self._are_chunks_listed()):
+            return
+        first: dict[tuple[object, ...], list[FoundChunk]] = {}
+        kept = []
+        for chunk in found.chunks:
+            alike = first.setdefault((chunk.times, chunk.size, chunk.crc, chunk.compression, chunk.is_run), [])
+            same = next((one for one in alike if chunk.messages and self._are_same(one, chunk)), None)
+            if same is None or chunk.is_run:
+                alike.append(chunk)
+                kept.append(chunk)
+            else:
+                found.faults.append(
+                    f"the chunk at byte {chunk.start} is a copy of that at byte {same.start}: its {chunk.counts.total()} messages count once"
+                )
+        found.chunks = kept
+
+    def _are_same(self, a: FoundChunk, b: FoundChunk) -> bool:
+        return self._read(a.body, a.size) == self._read(b.body, b.size)
 
     def _read(self, offset: int, size: int) -> bytes:
         return os.pread(self._descriptor, max(0, min(size, self._size - offset)), offset)
