@@ -473,6 +473,13 @@ def test_constant_shader_shows_its_emission(tmp_path: Path) -> None:
     assert material.base_color == (0, 1, 0, 1)
 
 
+@rule(FORMAT, "<emission> above 1", "done", "the strength of the light: its colour at 1, times it")
+def test_strong_emission(tmp_path: Path) -> None:
+    part = _part(tmp_path, _text(effect=f"<phong><emission><color>5 2.5 0 1</color></emission>{RED}</phong>"))
+    # 5 times the colour 1 0.5 0: ((0.5 + 0.055) / 1.055) ** 2.4 = 0.2140.
+    np.testing.assert_allclose(part.material.emissive, (5, 5 * 0.2140, 0), rtol=1e-3)
+
+
 @rule(FORMAT, "<emission>", "done")
 def test_emission(tmp_path: Path) -> None:
     part = _part(tmp_path, _text(effect=f"<phong><emission><color>1 0 0 1</color></emission>{RED}</phong>"))

@@ -333,3 +333,68 @@ def test_terms_of_the_phong_model_have_no_effect(tmp_path: Path) -> None:
 @rule(FORMAT, "other lines of a material", "left out", "each is named")
 def test_unknown_lines_of_a_material_are_named(tmp_path: Path) -> None:
     _warned(tmp_path, f"{SQUARE}usemtl m\nf 1 2 3\n", "'fancy' is unknown", mtl="newmtl m\nKd 1 0 0\nfancy 3\n")
+
+
+# What programs write beside it
+
+
+@rule(FORMAT, "byte order mark", "done", "skipped, in OBJ and MTL")
+def test_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    (tmp_path / "a.mtl").write_text("\ufeffnewmtl m\nKd 1 0 0\n")
+    (tmp_path / "a.obj").write_text("\ufeffv 0 0 0\nv 2 0 0\nv 2 2 0\nmtllib a.mtl\nusemtl m\nf 1 2 3\n")
+    mesh = load_mesh(tmp_path / "a.obj", [tmp_path])
+    assert mesh.warnings == ()
+    assert area(mesh.parts[0]) == 2.0
+    assert mesh.parts[0].material.base_color == (1, 0, 0, 1)
+
+
+@rule(FORMAT, "# after white space", "done", "a comment; names with one, such as Material #25, are searched first")
+def test_comments_at_the_end_of_lines(tmp_path: Path) -> None:
+    text = "v 0 0 0 # a\nv 2 0 0 #b\nv 2 2 0\t# c\nvt 0 0 # d\nvn 0 0 1 # e\nusemtl m # f\nf 1/1/1 2/1/1 3/1/1 # g\n"
+    part = _part(tmp_path, text, "newmtl m # red\nKd 1 0 0 # red\nd 1 # opaque\nKe 0 0 0 # dark\n")
+    assert part.material.base_color == (1, 0, 0, 1)
+    assert _material(tmp_path, "map_Kd wood.png # brown").material.texture is not None
+    numbered = "newmtl Material #25\nKd 1 0 0\nnewmtl Material #26\nKd 0 1 0\n"
+    mesh = _load(tmp_path, f"{SQUARE}usemtl Material #25\nf 1 2 3\nusemtl Material #26\nf 1 3 4\n", numbered)
+    assert [part.material.base_color for part in mesh.parts] == [(1, 0, 0, 1), (0, 1, 0, 1)]
+    assert mesh.warnings == ()
+
+
+@rule(FORMAT, "Kd r, Ke r", "done", "g and b are r where they are missing")
+def test_colour_of_one_number(tmp_path: Path) -> None:
+    material = _material(tmp_path, "Kd 0.5\nKe 0.25").material
+    assert (material.base_color, material.emissive) == ((0.5, 0.5, 0.5, 1), (0.25, 0.25, 0.25))
+
+
+@pytest.mark.parametrize("color", ["xyz .2 .3 .4", "1 0", "1 0 nan", "1 0 0 1"])
+@rule(FORMAT, "Kd xyz, Kd of other forms", "left out", "the surface is light grey")
+def test_colours_of_other_forms_are_named(tmp_path: Path, color: str) -> None:
+    part = _warned(tmp_path, f"{SQUARE}usemtl m\nf 1 2 3\n", f"kd '{color}' is left out", mtl=f"newmtl m\nKd {color}\n")
+    assert part.material.base_color == LIGHT_GREY
+
+
+@rule(FORMAT, "Ke above 1", "done", "emitted light may exceed 1")
+def test_strong_emission(tmp_path: Path) -> None:
+    assert _material(tmp_path, "Kd 0 0 0\nKe 5 0.5 -1").material.emissive == (5, 0.5, 0)
+
+
+@rule(FORMAT, "line continuation, tabs in MTL", "done")
+def test_continuation_and_tabs_in_materials(tmp_path: Path) -> None:
+    assert _material(tmp_path, "Kd 1 \\\n 0.5 0").material.base_color == (1, 0.5, 0, 1)
+    for line in ("map_Kd -s 2 2 1\twood.png", "map_Kd -clamp\ton\twood.png", "map_Kd\t-s\t2  wood.png"):
+        assert _material(tmp_path, line).material.texture is not None
+
+
+@rule(FORMAT, "colours of some vertices", "approximated", "the others are white")
+def test_colours_of_some_vertices(tmp_path: Path) -> None:
+    part = _warned(tmp_path, "v 0 0 0 1 0 0\nv 1 0 0\nv 0 1 0 0 0 0.2\nf 1 2 3\n", "1 of 3 vertices have no colour")
+    assert part.colors is not None
+    assert part.colors.tolist() == [[255, 0, 0], [255, 255, 255], [0, 0, 51]]
+
+
+@rule(FORMAT, "f of fewer than three corners", "left out", "it has no surface")
+def test_faces_of_two_corners_are_named(tmp_path: Path) -> None:
+    assert (
+        area(_warned(tmp_path, f"{SQUARE}f 1 2 3 4\nf 1 2\nf 1/1 3\n".replace("f 1/1 3", "f 3"), "2 face(s)", "no surface"))
+        == 4.0
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -178,8 +179,10 @@ class _EffectReader:
                     f"reads its emission at {quoted(texture.texcoord)}; it is drawn with the texture coordinates of its colour"
                 )
             return (1.0, 1.0, 1.0), texture.image
-        color = self._color("emission") or (0.0, 0.0, 0.0, 1.0)
-        red, green, blue = linear_from_srgb(color[:3]).tolist()
+        color = self._color("emission", largest=math.inf) or (0.0, 0.0, 0.0, 1.0)
+        # Above 1 there is no sRGB curve: the colour is that of its brightest component at 1, times its strength.
+        strength = max(1.0, *color[:3])
+        red, green, blue = (linear_from_srgb([value / strength for value in color[:3]]) * strength).tolist()
         return (red, green, blue), None
 
     def _alpha_mode(self, alpha: float, texture: TextureSource | None) -> AlphaMode:
@@ -259,11 +262,11 @@ class _EffectReader:
                 self._warn(f"refers to parameter {quoted(sid)} in <{slot}>, which the effect does not define; ignored")
         return None
 
-    def _color(self, slot: str) -> Rgba | None:
-        """Returns the colour of a slot, each 0 to 1; None if it has none or, with a warning, if it cannot be read."""
+    def _color(self, slot: str, largest: float = 1.0) -> Rgba | None:
+        """Returns the colour of a slot, each 0 to ``largest``; None if it has none or, with a warning, if it cannot be read."""
         text = self._value(slot, "color", "float4", "float3", "half4", "half3")
         try:
-            values = self.document.numbers(text).clip(0.0, 1.0).tolist()
+            values = self.document.numbers(text).clip(0.0, largest).tolist()
         except MeshError:
             values = []
         if len(values) < 3:

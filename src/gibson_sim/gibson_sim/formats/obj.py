@@ -11,7 +11,6 @@ import os
 import re
 from collections import defaultdict
 from dataclasses import dataclass
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +24,11 @@ from gibson_sim.formats.polygons import triangulate
 from gibson_sim.formats.textures import TextureStore, Warn, local_path
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, read_file
-from gibson_sim.types import Rgba
+from gibson_sim.types import Rgba, Vec3
 
 _NUMBER = re.compile(r"-?\d+")
 _USED = ("v", "vt", "vn", "f", "usemtl", "mtllib")
+_NUMBERS = ("v", "vt", "vn", "f")
 _WITHOUT_EFFECT = ("g", "o", "s", "mg", "lod", "bevel", "c_interp", "d_interp")
 """Names, groups and rendering hints: normals of the file, else smooth ones, are used."""
 _LEFT_OUT = {
@@ -93,27 +93,29 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
     """
     if b"\0" in data[:4096]:
         raise MeshError(f"{path}: is not an OBJ file: it is not text")
-    lines = data.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
     rows: dict[str, tuple[list[int], list[str]]] = defaultdict(lambda: ([], []))
     left_out: dict[str, int] = defaultdict(int)
-    for number, line in enumerate(lines):
+    for number, line in enumerate(_lines(data)):
         key, rest = _split_key(line)
         if key in _USED:
             rows[key][0].append(number)
-            rows[key][1].append(rest)
+            rows[key][1].append(rest.partition("#")[0] if "#" in rest and key in _NUMBERS else rest)
         elif key and not key.startswith("#") and key not in _WITHOUT_EFFECT:
             left_out[key] += 1
     for key, count in left_out.items():
         warn(Omission(f"{path}: {count} line(s) {quoted(key)} {_LEFT_OUT.get(key, _UNKNOWN)}", OmissionKind.UNSUPPORTED_ELEMENT))
     if not rows["v"][0]:
         raise MeshError(f"{path}: has no vertices; is it an OBJ file?")
-    positions, texcoords, normals = _table(path, rows["v"][1], 3), _table(path, rows["vt"][1], 2), _table(path, rows["vn"][1], 3)
+    counts = [len(line.split()) for line in rows["v"][1]]
+    positions = _table(path, rows["v"][1], 3, counts)
+    texcoords, normals = _table(path, rows["vt"][1], 2), _table(path, rows["vn"][1], 3)
     known = _materials(path, [name for line in rows["mtllib"][1] for name in _names(line, path)], textures, files, warn)
-    faces = _faces_by_material(path, rows, positions, (len(positions), len(texcoords), len(normals)))
+    faces = _faces_by_material(path, rows, positions, (len(positions), len(texcoords), len(normals)), warn)
     smooth = _smooth_normals(path, positions, faces)
-    colors = _colors(rows["v"][1])
+    colors = _colors(path, rows["v"][1], counts, warn)
     parts = []
-    for name, face in faces.items():
+    for text, face in faces.items():
+        name = text if text in known else _without_comment(text)
         if name and name not in known:
             warn(f"{path}: material {quoted(name)} is not defined in its .mtl; the surface is light grey")
         plain = Material(name) if colors is None else Material(name, (1.0, 1.0, 1.0, 1.0), unlit=True)
@@ -123,17 +125,27 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
     return parts
 
 
+def _lines(data: bytes) -> list[str]:
+    """Returns the lines of an OBJ or MTL file, without a byte order mark; a backslash at the end of a line continues it."""
+    return data.decode("utf-8-sig", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
+
+
+def _without_comment(text: str) -> str:
+    """Returns a text up to a ``#`` after white space. Names may have one (3ds Max: ``Material #25``), so that they are searched as a whole first."""
+    return re.split(r"(?:^|\s)#", text, maxsplit=1)[0].strip()
+
+
 def _split_key(line: str) -> tuple[str, str]:
     """Returns the first word of a line, and the rest without the white space around it; both may be empty."""
     key, *rest = line.split(None, 1) or [""]
     return key, rest[0].strip() if rest else ""
 
 
-def _table(path: Path, lines: list[str], width: int) -> F64:
+def _table(path: Path, lines: list[str], width: int, word_counts: list[int] | None = None) -> F64:
     """Returns the first ``width`` numbers of every line, (N, width); missing numbers are 0, since vt may have only one."""
     if not lines:
         return np.zeros((0, width))
-    counts = {len(line.split()) for line in lines}
+    counts = set(word_counts or (len(line.split()) for line in lines))
     try:
         if len(counts) == 1 and min(counts) >= width:
             return np.array(" ".join(lines).split(), dtype=np.float64).reshape(len(lines), -1)[:, :width].copy()
@@ -148,23 +160,42 @@ def _table(path: Path, lines: list[str], width: int) -> F64:
     return table
 
 
-def _colors(lines: list[str]) -> NDArray[np.uint8] | None:
-    """Returns the vertex colours, (V, 3) uint8 sRGB, if every line has three further numbers, as in scans; else None."""
-    if len(lines[0].split()) < 6:
+def _colors(path: Path, lines: list[str], counts: list[int], warn: Warn) -> NDArray[np.uint8] | None:
+    """Returns the vertex colours, (V, 3) uint8 sRGB, if lines have three further numbers, as in scans; else None. Others are white.
+
+    Args:
+        path: the file, for messages.
+        lines: the vertices.
+        counts: number of words of each line.
+        warn: called with one line if some vertices have no colours, or colours that cannot be read.
+    """
+    has_color = np.isin(counts, (6, 7))
+    if not has_color.any():
         return None
     try:
-        table = np.array(" ".join(lines).split(), dtype=np.float64).reshape(len(lines), -1)
+        texts = lines if has_color.all() else [line for line, has in zip(lines, has_color, strict=True) if has]
+        if len(set(counts)) == 1:
+            values = np.array(" ".join(texts).split(), dtype=np.float64).reshape(len(texts), -1)[:, 3:6]
+        else:
+            values = np.array([line.split()[3:6] for line in texts], dtype=np.float64)
     except ValueError:
+        warn(
+            Omission(
+                f"{path}: the colours of its vertices are left out, since one is not a number", OmissionKind.UNSUPPORTED_ELEMENT
+            )
+        )
         return None
-    if table.shape[1] not in (6, 7):
-        return None
-    values = np.nan_to_num(table[:, 3:6])
+    if not has_color.all():
+        warn(f"{path}: {int((~has_color).sum())} of {len(lines)} vertices have no colour; they are white")
+    values = np.nan_to_num(values)
+    colors = np.full((len(lines), 3), 255, dtype=np.uint8)
     # Some programs write 0 to 1, others 0 to 255.
-    return np.asarray(np.rint(np.clip(values * (1.0 if values.max() > 1.0 else 255.0), 0.0, 255.0)), dtype=np.uint8)
+    colors[has_color] = np.rint(np.clip(values * (1.0 if values.max() > 1.0 else 255.0), 0.0, 255.0))
+    return colors
 
 
 def _faces_by_material(
-    path: Path, rows: dict[str, tuple[list[int], list[str]]], positions: F64, totals: tuple[int, int, int]
+    path: Path, rows: dict[str, tuple[list[int], list[str]]], positions: F64, totals: tuple[int, int, int], warn: Warn
 ) -> dict[str, _Faces]:
     """Returns material name -> triangles, with absolute indices.
 
@@ -176,7 +207,7 @@ def _faces_by_material(
     uses = rows["usemtl"]
     usemtl_row = np.searchsorted(np.array(uses[0], dtype=np.int64), np.array(numbers, dtype=np.int64)) - 1
     for k, text in enumerate(texts):
-        words = text.partition("#")[0].split()
+        words = text.split()
         pattern = _NUMBER.sub("", " ".join(words)).strip()
         groups[(uses[1][usemtl_row[k]] if usemtl_row[k] >= 0 else "", pattern + f" {len(words)}")].append(k)
     # A negative index counts back from the last vertex before the line of the face.
@@ -184,10 +215,12 @@ def _faces_by_material(
         np.searchsorted(np.array(rows[key][0], dtype=np.int64), np.array(numbers, dtype=np.int64)) for key in ("v", "vt", "vn")
     ]
     faces: dict[str, list[_Faces]] = defaultdict(list)
+    too_small = 0
     for (material, _), members in groups.items():
-        columns = _columns(path, [texts[k].partition("#")[0] for k in members])
+        columns = _columns(path, [texts[k] for k in members])
         n_corners = columns.shape[1]
         if n_corners < 3:
+            too_small += len(members)
             continue
         index = []
         for column in range(3):
@@ -202,6 +235,9 @@ def _faces_by_material(
             index.append(absolute.ravel())
         corners = triangulate(positions, index[0], np.full(len(members), n_corners))[0]
         faces[material].append(_Faces(*(column[corners] for column in index)))
+    if too_small:
+        text = f"{path}: {too_small} face(s) of fewer than 3 corners are left out: they have no surface"
+        warn(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
     return {
         name: _Faces(*(np.concatenate([getattr(f, field) for f in groups_of_faces]) for field in ("positions", "uvs", "normals")))
         for name, groups_of_faces in faces.items()
@@ -265,7 +301,10 @@ def _part(
 
 def _names(line: str, path: Path) -> list[str]:
     """Returns the .mtl file names of an mtllib line: one name with spaces if that file exists, else several names."""
-    return [line] if is_file(local_path(line, path.parent)) or " " not in line else line.split()
+    for name in (line, _without_comment(line)):
+        if is_file(local_path(name, path.parent)):
+            return [name]
+    return _without_comment(line).split()
 
 
 def _materials(
@@ -285,14 +324,14 @@ def _materials(
         files.append(Path(os.path.realpath(file)))
         blocks: dict[str, dict[str, str]] = {}
         current: dict[str, str] = {}
-        for line in read_file(file).decode("utf-8", errors="replace").splitlines():
+        for line in _lines(read_file(file)):
             key, rest = _split_key(line)
             if key == "newmtl":
                 current = blocks.setdefault(rest, {})
             elif key and not key.startswith("#"):
-                current[key.lower()] = rest
+                current[key.lower()] = rest if key.lower().startswith("map_") else _without_comment(rest)
         materials.update({key: _material(key, block, file, path, textures, files, warn) for key, block in blocks.items()})
-    return materials
+    return {_without_comment(name): material for name, material in materials.items()} | materials
 
 
 def _material(
@@ -305,61 +344,77 @@ def _material(
         elif key not in _MTL_USED and key not in _MTL_WITHOUT_EFFECT:
             warn(Omission(f"{said}: {quoted(key)} is unknown and has no effect", OmissionKind.UNSUPPORTED_ELEMENT))
     uri, mapping, clamp = _texture(said, block.get("map_kd", ""), warn)
+    uri = uri if is_file(local_path(uri, mtl.parent)) else _without_comment(uri)
     # Paths are relative to the .mtl, but warnings and the search for missing textures use the mesh.
     texture = textures.from_uri(uri, mtl.parent / obj.name, files, warn) if uri else None
     if texture is not None and clamp:
         texture = textures.with_sampling(texture, Sampling(wrap_u="clamp", wrap_v="clamp"))
     if "-halo" in block.get("d", ""):
         warn(Omission(f"{said}: -halo of d is left out; the opacity is the same from all directions"))
-    alpha = _floats(block.get("d", ""), 1, (1.0,), mtl, warn)[0]
-    if "tr" in block and "d" not in block and _floats(block["tr"], 1, (0.0,), mtl, warn)[0] not in (0.0, 1.0):
+    alpha = _fraction(said, block, "d", 1.0, warn)
+    if "tr" in block and "d" not in block and _fraction(said, block, "tr", 0.0, warn) not in (0.0, 1.0):
         # Tr is opacity for some exporters, and transparency for others; only d is unambiguous.
         warn(Omission(f"{said}: Tr without d is left out, since programs disagree on its meaning; the surface is opaque"))
     color: Rgba = (1.0, 1.0, 1.0, alpha)
     if texture is None:
-        r, g, b = _floats(block.get("kd", ""), 3, LIGHT_GREY[:3], mtl, warn)
-        color = (r, g, b, alpha)
+        color = (*_color(said, block, "kd", LIGHT_GREY[:3], warn), alpha)
     has_cut_out = "map_d" in block and texture is not None and texture.pixels.shape[2] == 4
     if "map_d" in block and not has_cut_out:
         warn(Omission(f"{said}: map_d is left out: only the alpha channel of map_Kd is used; the surface has no holes"))
-    red, green, blue = _floats(block.get("ke", ""), 3, (0.0, 0.0, 0.0), mtl, warn)
     material = Material(
         name,
         color,
         texture,
         alpha_mode="blend" if alpha < 0.999 else "mask" if has_cut_out else "opaque",
-        metallic=_floats(block.get("pm", ""), 1, (0.0,), mtl, warn)[0],
-        roughness=_floats(block.get("pr", ""), 1, (1.0,), mtl, warn)[0],
-        emissive=(red, green, blue),
+        metallic=_fraction(said, block, "pm", 0.0, warn),
+        roughness=_fraction(said, block, "pr", 1.0, warn),
+        emissive=_color(said, block, "ke", (0.0, 0.0, 0.0), warn, largest=math.inf),
     )
     return material, mapping
 
 
-def _floats(text: str, count: int, default: tuple[float, ...], mtl: Path, warn: Warn) -> tuple[float, ...]:
-    """Returns the last ``count`` numbers of a line, clamped to 0 to 1; the default if it is empty or, with a warning, invalid."""
-    if not text:
+def _color(said: str, block: dict[str, str], key: str, default: Vec3, warn: Warn, largest: float = 1.0) -> Vec3:
+    """Returns the colour of a line ``r [g b]``, 0 to ``largest``; g and b are r if they are missing.
+
+    The default if there is no line or, with a warning, if it is of another form, such as ``xyz x y z`` and ``spectral file.rfl``.
+    """
+    words = block.get(key, "").split()
+    if not words:
         return default
-    try:
-        values = tuple(min(max(float(word), 0.0), 1.0) for word in text.split()[-count:])
-    except ValueError:
-        values = ()
-    if len(values) != count:
-        warn(f"{mtl}: {quoted(text)} is not {count} number(s); ignored")
+    if len(words) not in (1, 3) or not all(map(_is_number, words)):
+        warn(Omission(f"{said}: {key} {quoted(' '.join(words))} is left out, must be r g b", OmissionKind.UNSUPPORTED_ELEMENT))
         return default
-    return values
+    r, g, b = (min(max(float(word), 0.0), largest) for word in (words * 3 if len(words) == 1 else words))
+    return r, g, b
+
+
+def _fraction(said: str, block: dict[str, str], key: str, default: float, warn: Warn) -> float:
+    """Returns the number of a line, clamped to 0 to 1; the default if there is no line or, with a warning, if it has no number."""
+    words = block.get(key, "").split()
+    if not words:
+        return default
+    if not _is_number(words[-1]):
+        warn(f"{said}: {key} {quoted(' '.join(words))} is not a number; ignored")
+        return default
+    return min(max(float(words[-1]), 0.0), 1.0)
 
 
 def _texture(said: str, text: str, warn: Warn) -> tuple[str, _Mapping, bool]:
     """Returns file name, mapping and ``-clamp on`` of a texture line such as ``-s 2 2 1 wood.png``; options that have no effect are named."""
-    words = text.split(" ")
     scale, offset, clamp = [1.0, 1.0], [0.0, 0.0], False
-    while words and words[0].lower() in _OPTION_VALUES:
-        option = words.pop(0).lower()
-        most = _OPTION_VALUES[option]
-        values = list(takewhile(_is_number, words[:most])) if option in ("-o", "-s", "-t") else words[:most]
-        words = words[len(values) :]
-        while words and not words[0]:
-            words.pop(0)
+    while True:
+        option, rest = _split_key(text)
+        option = option.lower()
+        if option not in _OPTION_VALUES:
+            break
+        values: list[str] = []
+        while rest and len(values) < _OPTION_VALUES[option]:
+            word, after = _split_key(rest)
+            if option in ("-o", "-s", "-t") and not _is_number(word):
+                break
+            values.append(word)
+            rest = after
+        text = rest
         if option in ("-o", "-s"):
             target = scale if option == "-s" else offset
             target[: min(len(values), 2)] = [float(value) for value in values[:2]]
@@ -372,7 +427,7 @@ def _texture(said: str, text: str, warn: Warn) -> tuple[str, _Mapping, bool]:
                     OmissionKind.UNSUPPORTED_ELEMENT,
                 )
             )
-    return " ".join(words).strip(), _Mapping((scale[0], scale[1]), (offset[0], offset[1])), clamp
+    return text.strip(), _Mapping((scale[0], scale[1]), (offset[0], offset[1])), clamp
 
 
 def _is_number(word: str) -> bool:
