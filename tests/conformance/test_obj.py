@@ -352,7 +352,7 @@ def test_byte_order_mark_is_skipped(tmp_path: Path) -> None:
 def test_comments_at_the_end_of_lines(tmp_path: Path) -> None:
     text = "v 0 0 0 # a\nv 2 0 0 #b\nv 2 2 0\t# c\nvt 0 0 # d\nvn 0 0 1 # e\nusemtl m # f\nf 1/1/1 2/1/1 3/1/1 # g\n"
     part = _part(tmp_path, text, "newmtl m # red\nKd 1 0 0 # red\nd 1 # opaque\nKe 0 0 0 # dark\n")
-    assert part.material.base_color == (1, 0, 0, 1)
+    assert part.material.base_color == (1.0, 0.0, 0.0, 1.0)
     assert _material(tmp_path, "map_Kd wood.png # brown").material.texture is not None
     numbered = "newmtl Material #25\nKd 1 0 0\nnewmtl Material #26\nKd 0 1 0\n"
     mesh = _load(tmp_path, f"{SQUARE}usemtl Material #25\nf 1 2 3\nusemtl Material #26\nf 1 3 4\n", numbered)

@@ -105,3 +105,32 @@ def test_empty_file_is_refused(tmp_path: Path) -> None:
     for data in (_binary(count=0), b"solid a\nendsolid a\n"):
         with pytest.raises(MeshError, match="no triangles"):
             _load(tmp_path, data)
+
+
+@rule(FORMAT, "ASCII without endsolid", "refused", "it is cut, wherever that happened")
+def test_cut_text_is_refused(tmp_path: Path) -> None:
+    whole = f"solid a\n{FACET}"
+    for text in (whole, f"{whole}{FACET[:25]}", f"{whole}endsolid a\n{whole}", whole[: whole.index("facet")]):
+        with pytest.raises(MeshError, match="cut"):
+            _load(tmp_path, text.encode())
+    for text in (f"{whole}facet normal 0 0 1\nendfacet\nendsolid\n", f"{whole}{FACET[:-20]}\nendsolid\n"):
+        with pytest.raises(MeshError, match="in 2 facets"):
+            _load(tmp_path, text.encode())
+
+
+@rule(FORMAT, "binary: header begins with 'solid', bytes after the last triangle", "done", "binary, if no text has a facet")
+def test_binary_that_begins_with_solid(tmp_path: Path) -> None:
+    mesh = _load(tmp_path, _binary(header=b"solid part", rest=b"made by"))
+    assert corners(mesh.parts[0]) == [TRIANGLE]
+    assert "7 bytes after its 1 triangles" in mesh.warnings[0]
+    with pytest.raises(MeshError, match="an STL of 3 triangles has 234 bytes, this file has 184; it is cut"):
+        _load(tmp_path, _binary(header=b"solid part", count=3)[:-50])
+
+
+@pytest.mark.parametrize("name", ["vertex 1 2 3", "facet", "outer loop", "my solid", "endsolid"])
+@rule(FORMAT, "ASCII: name of a solid", "done", "any text to the end of the line; a byte order mark is skipped")
+def test_name_of_a_solid_is_no_geometry(tmp_path: Path, name: str) -> None:
+    data = f"\ufeffsolid {name}\n{FACET}endsolid {name}\n"
+    assert corners(_part(tmp_path, data.encode())) == [TRIANGLE]
+    # White space of any kind separates words, so that a file may be one line.
+    assert corners(_part(tmp_path, f"solid a\n{FACET}endsolid a\n".replace("\n", " ").encode())) == [TRIANGLE]

@@ -5,6 +5,7 @@ trimesh (5.2) is not used: it reads a text file that is cut as an empty mesh, an
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 
@@ -17,6 +18,9 @@ from gibson_sim.formats.textures import Warn
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
+_SOLID = re.compile(rb"\b(?:end)?solid\b[^\r\n]*?(?=[\r\n]|\bfacet\s+normal\b|$)", re.IGNORECASE)
+"""Begin or end of a solid with its name, which may be any text."""
+_FACET_WORD = re.compile(rb"\bfacet\b", re.IGNORECASE)
 _LOOP = re.compile(rb"outer\s+loop(.*?)endloop", re.IGNORECASE | re.DOTALL)
 
 
@@ -42,12 +46,16 @@ def load_stl(path: Path, data: bytes, warn: Warn) -> list[MeshPart]:
 
 def _corners(path: Path, data: bytes, warn: Warn) -> F64:
     """Returns the corners of all triangles, (F, 3, 3) float64."""
-    starts_solid = data.lstrip()[:5].lower() == b"solid"
+    data = data.removeprefix(codecs.BOM_UTF8)
+    is_text = data.lstrip()[:5].lower() == b"solid"
+    # The header of a binary file may begin with "solid" too.
+    if is_text and b"\0" in data and not _FACET_WORD.search(data):
+        is_text = False
     if len(data) >= 84:
         count = int.from_bytes(data[80:84], "little")
         size = 84 + 50 * count
-        # The header of a binary file may begin with "solid" too: only its size tells.
-        if len(data) == size or (len(data) > size and count and not starts_solid):
+        # A text file of this size by chance has no such count: its bytes 80 to 83 are letters.
+        if len(data) == size or (len(data) > size and count and not is_text):
             facets = np.frombuffer(data, dtype=_FACET, count=count, offset=84)
             if len(data) > size:
                 warn(f"{path}: the {len(data) - size} bytes after its {count} triangles are left out")
@@ -56,22 +64,26 @@ def _corners(path: Path, data: bytes, warn: Warn) -> F64:
                 text = f"{path}: the colours of its triangles are left out; the surface is light grey"
                 warn(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
             return facets["corners"].astype(np.float64)
-        if not starts_solid:
+        if not is_text:
             raise MeshError(
                 f"{path}: an STL of {count} triangles has {size} bytes, this file has {len(data)}; it is cut or broken"
             )
-    if not starts_solid:
+    if not is_text:
         raise MeshError(f"{path}: is not an STL file")
     return _ascii_corners(path, data)
 
 
 def _ascii_corners(path: Path, data: bytes) -> F64:
-    corners = _VERTEX.findall(data)
+    ends = list(_SOLID.finditer(data))
+    if not ends[-1][0].lower().startswith(b"endsolid") or _FACET_WORD.search(data, ends[-1].end()):
+        raise MeshError(f"{path}: does not end with 'endsolid'; the STL is cut, export it again")
+    data = _SOLID.sub(b"", data)
+    corners, facets = _VERTEX.findall(data), len(_FACET_WORD.findall(data))
     loops = [len(_VERTEX.findall(loop)) for loop in _LOOP.findall(data)]
-    if any(count != 3 for count in loops) or 3 * len(loops) != len(corners):
+    if any(count != 3 for count in loops) or 3 * len(loops) != len(corners) or facets != len(loops):
         wrong = next(
             (f"has a facet of {count} corners" for count in loops if count != 3),
-            f"has {len(corners)} corners in {len(loops)} facets",
+            f"has {len(corners)} corners and {len(loops)} loops in {facets} facets",
         )
         raise MeshError(f"{path}: {wrong}, must have 3 each; the STL is cut or broken")
     try:
