@@ -119,12 +119,23 @@ def test_rotations_are_angles_degrees_or_quaternions(pose: str) -> None:
     "values that are no numbers, or not six (seven) of them: zero is used in a world, a body is refused",
 )
 @pytest.mark.parametrize(
-    "pose", ["<pose>1 2</pose>", "<pose>a b c d e f</pose>", '<pose rotation_format="quat_xyzw">1 2 3 0 0 0</pose>']
-)
+    "pose",
+    [
+        "<pose>1 2</pose>", "<pose>1 2 3</pose>", "<pose>a b c d e f</pose>", "<pose>1_0 0 0 0 0 0</pose>", "<pose>1 2 3 0 0 0 1</pose>",
+        '<pose rotation_format="quat_xyzw">1 2 3 0 0 0</pose>', '<pose rotation_format="rpy">1 2 3 0 0 0</pose>',
+    ],
+)  # fmt: skip
 def test_a_pose_of_the_wrong_count_is_named(pose: str) -> None:
     found, warnings = scope(f'<link name="a">{pose}</link>')
     np.testing.assert_array_equal(found.pose("a"), np.eye(4))
     assert warned(warnings, "link a", "<pose>")
+
+
+@rule(FORMAT, "pose[degrees]", "left out", "of a quaternion, which has no angles")
+def test_degrees_of_a_quaternion_are_named() -> None:
+    found, warnings = scope('<link name="a"><pose rotation_format="quat_xyzw" degrees="true">1 2 3 0 0 0 1</pose></link>')
+    np.testing.assert_allclose(found.pose("a"), at(1, 2, 3))
+    assert warned(warnings, "link a", "degrees", "quaternion")
 
 
 @rule(FORMAT, "pose[relative_to]", "done", "links, joints, frames and nested models of the same model, and those in nested ones")
@@ -434,11 +445,14 @@ def test_geometry_without_a_counterpart_is_named(tmp_path: Path, geometry: str) 
     )
 
 
-def _mesh(folder: Path) -> None:
+_CUBE = "1 3 4,1 4 2,5 6 8,5 8 7,1 2 6,1 6 5,3 7 8,3 8 4,1 5 7,1 7 3,2 4 8,2 8 6"
+"""Triangles of a unit cube, wound outward."""
+
+
+def _mesh(folder: Path, faces: str = _CUBE) -> None:
     path = folder / "scene" / "worlds" / "a.obj"
     path.parent.mkdir(parents=True, exist_ok=True)
     corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-    faces = "1 3 4,1 4 2,5 6 8,5 8 7,1 2 6,1 6 5,3 7 8,3 8 4,1 5 7,1 7 3,2 4 8,2 8 6"
     path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(f"f {f}\n" for f in faces.split(",")))
 
 
@@ -568,6 +582,18 @@ def test_auto_inertia_is_that_of_the_solid(
     assert center[2] == pytest.approx(z, abs=1e-9)
     np.testing.assert_allclose(got[[0, 3, 5]] / mass, moments, rtol=1e-9)
     assert not warnings
+
+
+@rule(FORMAT, '<inertial auto="true">', "approximated", "a mesh that is not closed, or not wound consistently: its convex hull")
+@pytest.mark.parametrize("faces", [_CUBE.removesuffix(",2 8 6"), _CUBE.replace("1 3 4", "1 4 3")], ids=["open", "mixed winding"])
+def test_auto_inertia_of_an_open_or_badly_wound_mesh_is_that_of_its_hull(tmp_path: Path, faces: str) -> None:
+    _mesh(tmp_path, faces)
+    mesh = _solid("<mesh><uri>../../worlds/a.obj</uri></mesh>")
+    mass, center, got, warnings = _inertial(tmp_path, "<density>2</density>", ' auto="true"', mesh)
+    assert mass == pytest.approx(2.0)
+    np.testing.assert_allclose(center, 0.5)
+    np.testing.assert_allclose(got, [2 / 6, 0, 0, 2 / 6, 0, 2 / 6], atol=1e-9)
+    assert warned(warnings, "link l", "a.obj is not closed or not wound consistently", "convex hull")
 
 
 def test_auto_inertia_of_a_capsule_is_that_of_its_parts(tmp_path: Path) -> None:

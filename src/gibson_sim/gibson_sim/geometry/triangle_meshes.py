@@ -62,6 +62,14 @@ def components(triangles: NDArray[np.integer], vertex_count: int) -> I64:
     return np.asarray(csgraph.connected_components(graph, directed=False)[1][triangles[:, 0]], dtype=np.int64)
 
 
+def at_a_border(triangles: I64, vertex_count: int) -> Bools:
+    """Returns a mask, (F,), of the triangles (F, 3) with an edge that is not traversed equally often in both directions."""
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    edge, which = np.unique(np.minimum(start, end) * vertex_count + np.maximum(start, end), return_inverse=True)
+    balance = np.bincount(which, np.sign(end - start), minlength=len(edge))
+    return np.asarray((balance[which] != 0.0).reshape(-1, 3).any(axis=1))
+
+
 def distances(points: F64, corners: F64, rng: np.random.Generator, density: float = 500.0) -> F64:
     """Returns the distances (N,) of points (N, 3) from triangles (F, 3, 3), metres: upper bounds, exact for nearly all points.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import MeshPart
 from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
-from gibson_sim.geometry.triangle_meshes import components
+from gibson_sim.geometry.triangle_meshes import at_a_border, components
 from gibson_sim.render.lod import lod_selection
 from gibson_sim.render.lod.clusters import weld
 
@@ -47,7 +47,7 @@ def find_closed_surfaces(parts: Sequence[MeshPart], opaque: Sequence[bool]) -> C
     owner = components(corners, count)
     number = int(owner.max(initial=-1)) + 1
     closed = np.ones(number, dtype=bool)
-    closed[owner[_at_a_border(corners, count)]] = False
+    closed[owner[at_a_border(corners, count)]] = False
     closed[owner[np.repeat(~np.array(opaque, dtype=bool), [len(part.triangles) for part in parts])]] = False
     if closed.any():
         closed &= _outward(positions, np.concatenate([part.normals for part in parts]), rows, owner, number)
@@ -55,14 +55,6 @@ def find_closed_surfaces(parts: Sequence[MeshPart], opaque: Sequence[bool]) -> C
     return ClosedSurfaces(
         tuple(np.split(in_closed, ends[:-1])), _boxes(positions, rows[in_closed], owner[in_closed], number)[closed]
     )
-
-
-def _at_a_border(corners: I64, count: int) -> Bools:
-    """Returns a mask, (F,), of the triangles with an edge that is not traversed equally often in both directions."""
-    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    edge, which = np.unique(np.minimum(start, end) * count + np.maximum(start, end), return_inverse=True)
-    balance = np.bincount(which, np.sign(end - start), minlength=len(edge))
-    return np.asarray((balance[which] != 0.0).reshape(-1, 3).any(axis=1))
 
 
 def _outward(positions: NDArray[np.float32], normals: NDArray[np.float32], rows: I64, owner: I64, number: int) -> Bools:

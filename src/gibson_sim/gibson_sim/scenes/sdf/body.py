@@ -190,6 +190,11 @@ class SdfBodyReader:
                 if part is None:
                     self.builder.warn(f"{where}: a {placed.shape.kind} that encloses no volume adds no mass")
                 else:
+                    if part.is_hull:
+                        self.builder.warn(
+                            f"{where}: the surface of {Path(placed.shape.mesh).name} is not closed or not wound consistently; "
+                            "mass and inertia are those of its convex hull"
+                        )
                     parts.append(part.scaled(density).moved(placed.matrix))
         total = sum_of(parts)
         if total is None:

@@ -97,10 +97,21 @@ def is_true(text: str | None) -> bool:
     return (text or "").strip().lower() in ("1", "true")
 
 
+def number(word: str) -> float:
+    """Returns a number, which may be infinite or NaN.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if "_" in word:  # Python reads 1_0 as 10
+        raise ValueError(f"{quoted(word)} is not a number")
+    return float(word)
+
+
 def numbers(text: str | None, counts: tuple[int, ...]) -> list[float] | None:
     """Returns the numbers in an element's text; None if one is not finite, or their count is not in ``counts``."""
     try:
-        values = [float(word) for word in (text or "").split()]
+        values = [number(word) for word in (text or "").split()]
     except ValueError:
         return None
     return values if len(values) in counts and all(map(math.isfinite, values)) else None
@@ -117,21 +128,28 @@ def pose_matrix(parent: Element, where: str, warn: Warn) -> F64:
     element = parent.find("pose")
     if element is None or not (element.text or "").strip():
         return np.eye(4)
-    quaternion = element.get("rotation_format", "").strip() == "quat_xyzw"
-    values = numbers(element.text, (7,) if quaternion else (3, 6, 7))
+    format = element.get("rotation_format", "").strip() or "euler_rpy"
+    if format not in ("euler_rpy", "quat_xyzw"):
+        text = f"{where}: rotation_format of <pose> is {quoted(format)}, must be euler_rpy or quat_xyzw; zero is used"
+        warn(text, OmissionKind.INVALID)
+        return np.eye(4)
+    quaternion = format == "quat_xyzw"
+    values = numbers(element.text, (7,) if quaternion else (6,))
     if values is None:
         text = " ".join((element.text or "").split())
-        count = "seven numbers, x y z and a quaternion x y z w" if quaternion else "six numbers"
+        count = "seven numbers, x y z and a quaternion x y z w" if quaternion else "six numbers, x y z roll pitch yaw"
         warn(f"{where}: <pose> {quoted(text)} is not {count}; zero is used", OmissionKind.INVALID)
         return np.eye(4)
     xyz: Vec3 = (values[0], values[1], values[2])
-    if len(values) == 7:
+    if quaternion:
+        if is_true(element.get("degrees")):
+            warn(f"{where}: degrees of a <pose> does not apply to a quaternion; it has no effect", OmissionKind.OTHER)
         matrix = np.eye(4)
         quat = np.array(values[3:])
         matrix[:3, :3] = matrix_from_quat(quat / np.linalg.norm(quat)) if quat.any() else np.eye(3)
         matrix[:3, 3] = xyz
         return matrix
-    roll, pitch, yaw = values[3:] or (0.0, 0.0, 0.0)
+    roll, pitch, yaw = values[3:]
     if is_true(element.get("degrees")):
         roll, pitch, yaw = math.radians(roll), math.radians(pitch), math.radians(yaw)
     return matrix_from_pose(pose_from_xyz_rpy(xyz, (roll, pitch, yaw)))

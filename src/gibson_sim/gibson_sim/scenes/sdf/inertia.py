@@ -11,6 +11,8 @@ import numpy as np
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.geometry.triangle_meshes import at_a_border, weld
+from gibson_sim.scenes.mesh_body import hull_mass_properties
 from gibson_sim.scenes.sdf.elements import F64
 
 
@@ -24,6 +26,8 @@ class Solid:
     """Centre of mass, (3,), metres."""
     inertia: F64
     """Inertia about the centre of mass, (3, 3), kg m^2."""
+    is_hull: bool = False
+    """Whether it is the convex hull of a mesh whose surface is not closed or not wound consistently."""
 
     def scaled(self, factor: float) -> Solid:
         """Returns a solid of another density."""
@@ -83,8 +87,17 @@ def solid_of(shape: Shape, loader: MeshLoader) -> Solid | None:
 
 
 def _mesh(vertices: F64, triangles: np.ndarray[tuple[int, ...], np.dtype[np.int32]]) -> Solid | None:
-    """Returns the mass properties of a closed surface: those of the tetrahedra between its triangles and the middle of its vertices."""
+    """Returns the mass properties of a closed surface: those of the tetrahedra between its triangles and the middle of its vertices.
+
+    An open or inconsistently wound one has those of its convex hull; None if it encloses no volume.
+    """
     middle = vertices.mean(axis=0)
+    welded, corners_of = weld(vertices, triangles)
+    if at_a_border(corners_of, len(welded)).any():
+        if np.linalg.matrix_rank(welded - welded.mean(axis=0), tol=1e-6 * float(np.ptp(welded, axis=0).max())) < 3:
+            return None
+        hull = hull_mass_properties(welded)
+        return Solid(hull.volume, hull.center, hull.inertia, is_hull=True)
     corners = (vertices - middle)[triangles]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6

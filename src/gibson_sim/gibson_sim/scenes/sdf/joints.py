@@ -9,7 +9,7 @@ from gibson_sim.description.mimic import Mimic
 from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf.elements import Element, is_true, numbers, text_of
+from gibson_sim.scenes.sdf.elements import Element, is_true, number, numbers, text_of
 from gibson_sim.types import Vec3
 
 _KINDS = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic", "fixed": "fixed"}
@@ -122,7 +122,7 @@ def _limit(axis: Element, path: str, default: float, where: str, builder: SceneB
     if not text:
         return default
     try:
-        value = float(text)
+        value = number(text)
     except ValueError:
         value = math.nan
     if math.isnan(value):
