@@ -60,3 +60,16 @@ def test_stack_that_changes_the_world_fails_and_its_call_is_the_cause(
     allowed = judge(replace(scenario, stack=replace(stack, allowed_calls=(key,))), run, outcome, tmp_path / "run")
     assert allowed.passed == (how != "pause"), "judged as if it had driven there"
     assert allowed.cause is None or allowed.cause.kind != "foreign call"
+
+
+def test_stack_that_pauses_the_recording_fails(tmp_path: Path) -> None:
+    pytest.importorskip("rosbag2_interfaces")
+    room = str(write_room(tmp_path / "room"))
+    stack = StackSpec((sys.executable, "cheat.py", "record"), folder=STACKS, status=Status("status"))
+    scenario = Scenario("t", Path("t.yaml"), (room,), stack)
+    run = RunSpec(1, room, "gibson_bot", 3, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0, 0.18)
+    outcome = execute(scenario, run, tmp_path / "run", domains=DOMAINS)
+    result = judge(scenario, run, outcome, tmp_path / "run")
+    failed = {verdict.name: verdict.text for verdict in result.verdicts if not verdict.passed}
+    assert failed["run"].startswith("the bag lacks "), outcome
+    assert "recording was paused, by node '/cheat', or messages were lost" in failed["run"]

@@ -1,6 +1,6 @@
-"""A stack that does not drive: it changes the world with the services of the simulation, and says that it has reached the goal.
+"""A stack that does not drive: it changes the world or the recording with services, and says that it has reached the goal.
 
-``python cheat.py teleport|steps|pause`` does as the word says, once it has its goal.
+``python cheat.py teleport|steps|pause|record`` does as the word says, once it has its goal.
 """
 
 from __future__ import annotations
@@ -36,13 +36,31 @@ class Cheat(Node):
         self._ready.cancel()
         if self._how == "pause":
             self._state.call_async(SetSimulationState.Request(state=SimulationState(state=SimulationState.STATE_PAUSED)))
+        elif self._how == "record":
+            self._interrupt_recording()
         else:
             self._move()
+
+    def _interrupt_recording(self) -> None:
+        """Pauses the recorder for 3 s."""
+        from rosbag2_interfaces.srv import Pause, Resume
+
+        pause, resume = self.create_client(Pause, "record/pause"), self.create_client(Resume, "record/resume")
+
+        def go_on() -> None:
+            timer.cancel()
+            resume.call_async(Resume.Request()).add_done_callback(lambda _: self._end())
+
+        pause.call_async(Pause.Request())
+        timer = self.create_timer(3.0, go_on)
+
+    def _end(self) -> None:
+        self.create_timer(0.2, lambda: self._status.publish(String(data="reached")))
 
     def _move(self) -> None:
         count = STEPS if self._how == "steps" else 1
         if self._done == count:
-            self.create_timer(0.2, lambda: self._status.publish(String(data="reached")))
+            self._end()
             return
         self._done += 1
         request = SetEntityState.Request(entity=ROBOT)
