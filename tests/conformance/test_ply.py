@@ -73,10 +73,28 @@ def test_unknown_format_is_refused(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-@rule(FORMAT, "comment, obj_info", "done", "skipped; lines end with LF or CRLF")
+@rule(FORMAT, "comment, obj_info", "done", "skipped; lines end with LF, CRLF or CR")
 def test_comments_are_skipped(tmp_path: Path) -> None:
-    data = _text(comments="comment made by hand\nobj_info scanned\n")
-    assert area(_part(tmp_path, data)) == area(_part(tmp_path, data.replace(b"\n", b"\r\n"))) == 4.0
+    data = _text(comments="comment made by hand\nobj_info scanned\ncomment before end_header there is more\n")
+    for end in (b"\n", b"\r\n", b"\r"):
+        assert area(_part(tmp_path, data.replace(b"\n", end))) == 4.0
+
+
+@rule(FORMAT, "byte order mark", "done", "skipped")
+def test_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    assert area(_part(tmp_path, b"\xef\xbb\xbf" + _text())) == 4.0
+
+
+@rule(FORMAT, "format of another version than 1.0, elements twice, broken lines of elements", "refused")
+def test_broken_headers_are_refused(tmp_path: Path) -> None:
+    twice = _text(elements=f"element face 1\n{FACE}", rows="3 0 1 2\n")
+    for data, words in (
+        (_text().replace(b"ascii 1.0", b"ascii 2.0"), "has version '2.0' of PLY, must be 1.0"),
+        (twice, "has element 'face' twice"),
+        (_text().replace(b"element face 1", b"element face"), "'element face' must be"),
+    ):
+        with pytest.raises(MeshError, match=words):
+            _load(tmp_path, data)
 
 
 @pytest.mark.parametrize(
@@ -245,3 +263,30 @@ def test_broken_files_are_refused(tmp_path: Path) -> None:
         _load(tmp_path, _text(faces=("3 0 1 9",)))
     with pytest.raises(MeshError, match="cut"):
         _load(tmp_path, _text()[:-6])
+
+
+@rule(FORMAT, "indices that are no whole numbers", "refused")
+def test_fractions_of_indices_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MeshError, match=r"is 2\.7, must be a whole number"):
+        _load(tmp_path, _text(faces=("3 0 1 2.7",)))
+    as_floats = FACE.replace("int", "float")
+    with pytest.raises(MeshError, match=r"is 2\.7, must be a whole number"):
+        _load(tmp_path, _text(faces=("3 0 1 2.7",), face=as_floats))
+    assert area(_part(tmp_path, _text(faces=("3 0 1 2.0",), face=as_floats))) == 2.0
+
+
+@pytest.mark.parametrize("kind", ["float", "double", "short", "ushort", "int"])
+@rule(FORMAT, "red, green, blue of 0 to 255 in wider types", "done", "floats above 1, and whole numbers up to 255")
+def test_colours_of_0_to_255_in_wider_types(tmp_path: Path, kind: str) -> None:
+    vertex = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue", "alpha"))
+    part = _part(tmp_path, _text([f"{v} 255 128 0 255" for v in VERTICES], vertex=vertex))
+    assert part.colors is not None
+    assert part.colors.tolist() == [[255, 128, 0]] * 4
+
+
+@rule(FORMAT, "colours beside a texture", "left out", "the texture is drawn")
+def test_colours_beside_a_texture_are_named(tmp_path: Path) -> None:
+    vertex = "property float s\nproperty float t\n" + "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    data = _text([f"{v} 0 0 1 2 3" for v in VERTICES], vertex=vertex, comments="comment TextureFile wood.png\n")
+    part = _warned(tmp_path, data, "colours are left out", "texture is drawn")
+    assert part.material.texture is not None

@@ -127,10 +127,11 @@ def test_binary_that_begins_with_solid(tmp_path: Path) -> None:
         _load(tmp_path, _binary(header=b"solid part", count=3)[:-50])
 
 
-@pytest.mark.parametrize("name", ["vertex 1 2 3", "facet", "outer loop", "my solid", "endsolid"])
+@pytest.mark.parametrize("name", ["vertex 1 2 3", "facet", "outer loop", "my solid", "endsolid", "_part"])
 @rule(FORMAT, "ASCII: name of a solid", "done", "any text to the end of the line; a byte order mark is skipped")
 def test_name_of_a_solid_is_no_geometry(tmp_path: Path, name: str) -> None:
     data = f"\ufeffsolid {name}\n{FACET}endsolid {name}\n"
     assert corners(_part(tmp_path, data.encode())) == [TRIANGLE]
     # White space of any kind separates words, so that a file may be one line.
     assert corners(_part(tmp_path, f"solid a\n{FACET}endsolid a\n".replace("\n", " ").encode())) == [TRIANGLE]
+    assert corners(_part(tmp_path, f"solid{name}\n{FACET}endsolid{name}\n".encode())) == [TRIANGLE]

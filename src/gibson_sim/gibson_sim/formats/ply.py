@@ -8,6 +8,8 @@ polygons, strips, colours and textures to its caller.
 
 from __future__ import annotations
 
+import codecs
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +29,7 @@ _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+_START = re.compile(rb"ply[ \t]*(\r\n|\n|\r)")
 _MAX_HEADER = 64 * 1024
 _INDICES = ("vertex_indices", "vertex_index")
 _COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
@@ -118,7 +121,11 @@ def load_ply(path: Path, data: bytes, textures: TextureStore, files: list[Path],
     ply = read_ply(path, data)
     for line in ply.omissions:
         warn(Omission(f"{path}: {line}", OmissionKind.UNSUPPORTED_ELEMENT))
-    part = ply_part(str(path), ply, ply.triangulated()[0], _material(path, ply, textures, files, warn))
+    material = _material(path, ply, textures, files, warn)
+    has_colors = ply.colors is not None or ply.corner_colors is not None
+    if has_colors and material is not None and material.texture is not None:
+        warn(Omission(f"{path}: its colours are left out; the texture is drawn", OmissionKind.UNSUPPORTED_ELEMENT))
+    part = ply_part(str(path), ply, ply.triangulated()[0], material)
     return [] if part is None else [part]
 
 
@@ -197,6 +204,8 @@ def read_ply(path: Path, data: bytes) -> Ply:
         raise MeshError(f"{path}: is empty: it has no vertices; export the mesh again")
     if lists is None or not len(lists[1]):
         raise MeshError(f"{path}: {POINT_CLOUD_ADVICE} ({len(vertex['x'])} points)")
+    if lists[0].dtype.kind == "f":
+        _whole(path, "index of a vertex", lists[0])
     corners, sizes = np.asarray(lists[0], dtype=np.int64), np.asarray(lists[1], dtype=np.int64)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertex["x"])):
         index = int(corners.min() if corners.min() < 0 else corners.max())
@@ -233,10 +242,7 @@ def _omissions(tables: Mapping[str, Mapping[str, Any]], textures: int, uses_stri
         if name not in _WITHOUT_EFFECT
     ]
     alphas = [table[name] for table in (vertex, face) for name in _ALPHA_NAMES if name in table]
-    # 255 as a whole number and 1 as a fraction are opaque.
-    if any(
-        not isinstance(a, tuple) and len(a) and a.min() < (1.0 if a.dtype.kind == "f" else np.iinfo(a.dtype).max) for a in alphas
-    ):
+    if any(not isinstance(a, tuple) and len(a) and a.min() < _white(a) for a in alphas):
         found.append("the opacity of its colours is left out; the surface is opaque")
     if _colors(vertex) is not None and _colors(face) is not None:
         found.append("the colours of its faces are left out; those of its vertices are used")
@@ -288,11 +294,20 @@ def _colors(columns: Mapping[str, Any]) -> NDArray[np.uint8] | None:
     if names is None:
         return None
     values = np.stack([np.asarray(columns[k]) for k in names], axis=1)
-    if values.dtype.kind == "f":
-        values = np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0)
-    elif values.dtype.itemsize == 2:
+    white = _white(values)
+    if white == 65535:
         values = values // 257
+    elif values.dtype.kind == "f":
+        values = np.rint(np.clip(np.nan_to_num(values), 0.0, white) * (255.0 / white))
     return np.asarray(np.clip(values, 0, 255), dtype=np.uint8)
+
+
+def _white(values: NDArray[Any]) -> float:
+    """Returns the value of white, which the format does not specify: programs write fractions, 0 to 255 in any type, and 16 bits."""
+    largest = np.nan_to_num(values).max(initial=0)
+    if values.dtype.kind == "f":
+        return 1.0 if largest <= 1.0 else 255.0
+    return 65535.0 if values.dtype.itemsize == 2 and largest > 255 else 255.0
 
 
 def _uvs(ply: Ply) -> F64 | None:
@@ -302,30 +317,42 @@ def _uvs(ply: Ply) -> F64 | None:
 
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], list[str], int]:
     """Returns the byte order ("" = text), the elements, the names of the textures, and the offset of the data, bytes."""
-    if not data.startswith(b"ply"):
+    mark = len(codecs.BOM_UTF8) if data.startswith(codecs.BOM_UTF8) else 0
+    start = _START.match(data, mark)
+    if start is None:
         raise MeshError(
             f"{path}: is not a PLY file (it begins with {quoted(data[:8].decode('ascii', 'replace'))}, must begin with 'ply')"
         )
-    end = data.find(b"end_header", 0, _MAX_HEADER)
-    line_end = data.find(b"\n", end)
-    if end < 0 or line_end < 0:
+    # After CR, an LF belongs to the data where lines end with CR only.
+    end = re.compile(rb"[\r\n][ \t]*end_header[ \t]*" + (rb"\r" if start[1] == b"\r" else rb"\r?\n")).search(
+        data, mark, _MAX_HEADER
+    )
+    if end is None:
         raise MeshError(f"{path}: the header of the PLY has no end_header; the file is cut or broken")
     order: str | None = None
     elements: list[_Element] = []
     textures: list[str] = []
-    for line in data[:end].decode("ascii", errors="replace").splitlines():
+    for line in data[mark : end.start()].decode("ascii", errors="replace").splitlines():
         words = line.split()
         if words[:1] == ["format"] and len(words) > 1:
             order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1])
+            if words[2:] not in ([], ["1.0"]):
+                raise MeshError(f"{path}: has version {quoted(' '.join(words[2:]))} of PLY, must be 1.0; export it again")
         elif words[:2] == ["comment", "TextureFile"]:
             textures.append(line.split("TextureFile", 1)[1].strip())
-        elif words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
+        elif words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdecimal():
+                raise MeshError(f"{path}: {quoted(' '.join(words))} must be 'element', a name and a number; the PLY is broken")
+            if any(known.name == words[1] for known in elements):
+                raise MeshError(
+                    f"{path}: has element {quoted(words[1])} twice, must have it once; merge them, or export it again"
+                )
             elements.append(_Element(words[1], int(words[2]), ()))
         elif words[:1] == ["property"] and elements:
             elements[-1] = _with_property(path, elements[-1], words[1:])
     if order is None:
         raise MeshError(f"{path}: the format in the header is unknown; known: ascii, binary_little_endian, binary_big_endian")
-    return order, elements, textures, line_end + 1
+    return order, elements, textures, end.end()
 
 
 def _with_property(path: Path, element: _Element, words: list[str]) -> _Element:
@@ -417,11 +444,19 @@ def _as_kind(path: Path, what: str, column: NDArray[np.float64], kind: np.dtype[
     """
     if kind.kind in "iu" and len(column):
         limits = np.iinfo(kind)
+        _whole(path, what, column)
         out_of_range = ~((column >= limits.min) & (column <= limits.max))
         if out_of_range.any():
             raise MeshError(f"{path}: {quoted(what)} is {column[out_of_range][0]:g}, must be {limits.min} to {limits.max}")
     with np.errstate(over="ignore"):  # numbers too large for single precision become infinite, which build_part rejects
         return column.astype(kind)
+
+
+def _whole(path: Path, what: str, values: NDArray[Any]) -> None:
+    """Raises MeshError if finite values are no whole numbers."""
+    is_fraction = np.isfinite(values) & (values != np.rint(values))
+    if is_fraction.any():
+        raise MeshError(f"{path}: {quoted(what)} is {values[is_fraction][0]:g}, must be a whole number; the PLY is broken")
 
 
 def _numbers(path: Path, what: str, words: list[bytes]) -> NDArray[np.float64]:

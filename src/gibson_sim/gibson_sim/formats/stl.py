@@ -18,7 +18,7 @@ from gibson_sim.formats.textures import Warn
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
-_SOLID = re.compile(rb"\b(?:end)?solid\b[^\r\n]*?(?=[\r\n]|\bfacet\s+normal\b|$)", re.IGNORECASE)
+_SOLID = re.compile(rb"\b(?:end)?solid[^\r\n]*?(?=[\r\n]|\bfacet\s+normal\b|$)", re.IGNORECASE)
 """Begin or end of a solid with its name, which may be any text."""
 _FACET_WORD = re.compile(rb"\bfacet\b", re.IGNORECASE)
 _LOOP = re.compile(rb"outer\s+loop(.*?)endloop", re.IGNORECASE | re.DOTALL)
