@@ -17,11 +17,11 @@ from gibson_sim.formats.mesh import F64, Material, MeshPart, build_part, unit
 from gibson_sim.formats.textures import Warn
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
-_SOLID = re.compile(rb"\b(?:end)?solid[^\r\n]*?(?=[\r\n]|\bfacet\s+normal\b|$)", re.IGNORECASE)
+# Of text in lower case, which is searched faster than by re.IGNORECASE.
+_VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_SOLID = re.compile(rb"solid[^\r\n]*?(?=[\r\n]|\bfacet\s+normal\b|$)")
 """Begin or end of a solid with its name, which may be any text."""
-_FACET_WORD = re.compile(rb"\bfacet\b", re.IGNORECASE)
-_LOOP = re.compile(rb"outer\s+loop(.*?)endloop", re.IGNORECASE | re.DOTALL)
+_LOOP = re.compile(rb"outer\s+loop(.*?)endloop", re.DOTALL)
 
 
 def load_stl(path: Path, data: bytes, warn: Warn) -> list[MeshPart]:
@@ -49,7 +49,7 @@ def _corners(path: Path, data: bytes, warn: Warn) -> F64:
     data = data.removeprefix(codecs.BOM_UTF8)
     is_text = data.lstrip()[:5].lower() == b"solid"
     # The header of a binary file may begin with "solid" too.
-    if is_text and b"\0" in data and not _FACET_WORD.search(data):
+    if is_text and b"\0" in data and b"facet" not in data.lower():
         is_text = False
     if len(data) >= 84:
         count = int.from_bytes(data[80:84], "little")
@@ -74,12 +74,13 @@ def _corners(path: Path, data: bytes, warn: Warn) -> F64:
 
 
 def _ascii_corners(path: Path, data: bytes) -> F64:
-    ends = list(_SOLID.finditer(data))
-    if not ends[-1][0].lower().startswith(b"endsolid") or _FACET_WORD.search(data, ends[-1].end()):
+    text = data.lower()
+    last = list(_SOLID.finditer(text))[-1]
+    if text[last.start() - 3 : last.start()] != b"end" or b"facet" in text[last.end() :]:
         raise MeshError(f"{path}: does not end with 'endsolid'; the STL is cut, export it again")
-    data = _SOLID.sub(b"", data)
-    corners, facets = _VERTEX.findall(data), len(_FACET_WORD.findall(data))
-    loops = [len(_VERTEX.findall(loop)) for loop in _LOOP.findall(data)]
+    text = _SOLID.sub(b"", text)
+    corners, facets = _VERTEX.findall(text), text.count(b"facet") - text.count(b"endfacet")
+    loops = [len(_VERTEX.findall(loop)) for loop in _LOOP.findall(text)]
     if any(count != 3 for count in loops) or 3 * len(loops) != len(corners) or facets != len(loops):
         wrong = next(
             (f"has a facet of {count} corners" for count in loops if count != 3),
