@@ -1142,3 +1142,85 @@ def test_a_chain_of_frames_that_is_too_long_is_refused_in_one_line() -> None:
     )
     np.testing.assert_allclose(found.pose("f0"), at(200, 0, 0))
     assert not warnings
+
+
+@rule(FORMAT, "<geometry> with several shapes", "approximated", "the first")
+def test_of_several_shapes_the_first_is_used(tmp_path: Path) -> None:
+    shapes = "<geometry><box><size>1 2 3</size></box><sphere><radius>1</radius></sphere></geometry>"
+    got = body(tmp_path, f'<link name="l"><collision name="c">{shapes}</collision></link>').model
+    assert [c.shape.kind for c in got.links[-1].collisions] == ["box"]
+    assert warned(got.warnings, "link l", "'c'", "<box>, <sphere>", "the first is used")
+
+
+@rule(FORMAT, "<collision>, <visual> without <geometry>", "refused", "left out in a world, a body is refused")
+@pytest.mark.parametrize("tag", ["collision", "visual"])
+def test_shapes_without_a_geometry_are_named(tmp_path: Path, tag: str) -> None:
+    got = body(tmp_path, f'<link name="l"><{tag} name="c"/>{VISUAL}</link>').model
+    assert warned(got.warnings, "link l", f"<{tag}> 'c' has no <geometry>")
+
+
+@rule(FORMAT, "elements that count once", "approximated", "<pose>, <geometry>, <inertial>, ...: the first")
+def test_of_elements_that_count_once_the_first_counts(tmp_path: Path) -> None:
+    poses = "<pose>1 0 0 0 0 0</pose><pose>2 0 0 0 0 0</pose>"
+    scene = world(tmp_path, f'<model name="m"><static>1</static>{poses}<link name="l">{VISUAL}</link></model>')
+    assert places(scene) == [(1, 0, 0)]
+    assert warned(scene.warnings, "2 <pose> in model m: only the first of several counts")
+    got = body(tmp_path, f'<link name="l"><inertial/><inertial/>{VISUAL}</link>').model
+    assert warned(got.warnings, "2 <inertial> in link l (model m)", "only the first")
+
+
+@rule(
+    FORMAT, "names of siblings", "approximated", "models, links, collisions or visuals of the same name: named, and all are read"
+)
+def test_siblings_of_the_same_name_are_named(tmp_path: Path) -> None:
+    one = f'<model name="m"><static>1</static><link name="l">{VISUAL}</link></model>'
+    scene = world(tmp_path, one + one)
+    assert len(scene.visuals) == 2
+    assert warned(scene.warnings, "world w", "'m' is used by two <model>")
+    scene = world(tmp_path, one.replace("</model>", f'<link name="l">{VISUAL}</link></model>'))
+    assert warned(scene.warnings, "model m", "'l' is used by two <link>")
+    scene = world(tmp_path, one.replace(VISUAL, VISUAL + COLLISION))
+    assert warned(scene.warnings, "2 <collision> c in link l (model m): names must be unique")
+    assert not world(tmp_path, one).warnings
+
+
+@rule(FORMAT, "include/plugin", "left out", "plugins are not run")
+def test_plugins_of_includes_are_named(tmp_path: Path) -> None:
+    model(tmp_path, "box", f'<static>1</static><link name="l">{VISUAL}</link>')
+    scene = world(tmp_path, '<include><uri>model://box</uri><plugin name="p" filename="f"/></include>')
+    assert warned(scene.warnings, "<plugin> of p (world w)", "plugins are not run")
+
+
+@rule(FORMAT, "colours", "approximated", "values outside of 0 to 1 are clipped")
+def test_colours_outside_of_their_range_are_named(tmp_path: Path) -> None:
+    color, warnings = _color(tmp_path, "<diffuse>255 0 0 1</diffuse>")
+    assert color == (1, 0, 0, 1)
+    assert warned(warnings, "model m", "<diffuse> is '255 0 0 1', must be 0 to 1")
+    still = f'<model name="m"><static>1</static><link name="l">{VISUAL}</link></model>'
+    scene = world(tmp_path, f"<scene><background>9 0 0</background></scene>{still}")
+    assert warned(scene.warnings, "<background>", "must be 0 to 1")
+
+
+@rule(FORMAT, "inertial/pose, inertial/inertia with auto", "left out", "the shapes decide")
+def test_values_beside_auto_inertia_are_named(tmp_path: Path) -> None:
+    content = "<density>1</density><pose>1 0 0 0 0 0</pose><inertia><ixx>9</ixx></inertia>"
+    mass, center, _, warnings = _inertial(tmp_path, content, ' auto="true"', _solid("<box><size>1 1 1</size></box>"))
+    assert (mass, center.tolist()) == (1.0, [0, 0, 0])
+    assert warned(warnings, "link l: inertial: auto is true; <inertia> and <pose> beside it has no effect")
+
+
+@rule(FORMAT, "sdf[version]", "approximated", "above 1.12: read as 1.12")
+def test_a_later_version_is_named(tmp_path: Path) -> None:
+    still = f'<model name="m"><static>1</static><link name="l">{VISUAL}</link></model>'
+    assert not world(tmp_path, still, "1.12").warnings
+    assert warned(world(tmp_path, still, "1.13").warnings, "is SDF 1.13, and is read as 1.12")
+    model(tmp_path, "box", f'<static>1</static><link name="l">{VISUAL}</link>', "2.0")
+    assert warned(world(tmp_path, "<include><uri>model://box</uri></include>", "1.12").warnings, "model.sdf: is SDF 2.0")
+
+
+@rule(FORMAT, "unknown attributes", "left out", "each is named")
+def test_attributes_that_sdf_does_not_have_are_named(tmp_path: Path) -> None:
+    content = f'<pose relativeto="l" gz:note="1">1 0 0 0 0 0</pose><link name="l" mass="2">{VISUAL}</link>'
+    scene = world(tmp_path, f'<model name="m"><static>1</static>{content}</model>')
+    (line,) = scene.warnings
+    assert line == "relativeto of <pose>, mass of <link>: attributes that SDF does not have; they have no effect"

@@ -140,6 +140,15 @@ def test_elements_that_the_format_does_not_have_are_named() -> None:
     )
 
 
+@rule("URDF", "unknown attributes", "left out", "each is named")
+def test_attributes_that_the_format_does_not_have_are_named() -> None:
+    shape = '<visual><origin ryp="0 0 1"/><geometry><sphere radius="1" color="red"/></geometry></visual>'
+    model = parse(f'<link name="a">{shape}{shape}</link>')
+    assert model.warnings == (
+        "r.urdf: attributes that URDF does not have have no effect: 2 ryp of <origin>, 2 color of <sphere>",
+    )
+
+
 @rule(
     "URDF", "more than one of <inertial>, <geometry>, <origin>, <limit>, ...", "approximated", "the first counts, as in urdfdom"
 )

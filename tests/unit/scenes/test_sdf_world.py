@@ -153,8 +153,12 @@ def test_models_that_include_each_other_are_left_out_there(tmp_path: Path) -> No
 
 def test_model_may_be_included_many_times(tmp_path: Path) -> None:
     _model(tmp_path, "leg", _box_link())
-    _model(tmp_path, "table", "<include><uri>model://leg</uri></include>" * 4)
-    scene = _load(tmp_path, "<include><uri>model://table</uri></include>" * 2)
+    legs, tables = (
+        "".join(f"<include><uri>model://{model}</uri><name>{model}_{k}</name></include>" for k in range(count))
+        for model, count in (("leg", 4), ("table", 2))
+    )
+    _model(tmp_path, "table", legs)
+    scene = _load(tmp_path, tables)
     assert len(scene.visuals) == 8
     assert _others(scene) == ()
 

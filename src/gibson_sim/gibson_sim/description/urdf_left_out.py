@@ -23,6 +23,27 @@ _CHILDREN: dict[str, frozenset[str]] = {
     "contact": frozenset({"lateral_friction", "rolling_friction", "spinning_friction", "stiffness", "damping"}),
 }  # fmt: skip
 """Element -> its children that are read."""
+_ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    "robot": ("name", "version"),
+    "origin": ("xyz", "rpy", "quat_xyzw"),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "box": ("size",),
+    "sphere": ("radius",),
+    "mesh": ("filename", "scale"),
+    "color": ("rgba",),
+    "texture": ("filename",),
+    "joint": ("name", "type"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
+    "dynamics": ("damping", "friction"),
+    "mimic": ("joint", "multiplier", "offset"),
+    **dict.fromkeys(("link", "visual", "collision", "material"), ("name",)),
+    **dict.fromkeys(("cylinder", "capsule"), ("radius", "length")),
+    **dict.fromkeys(("parent", "child"), ("link",)),
+    **dict.fromkeys(("inertial", "geometry", "contact"), ()),
+    **dict.fromkeys(("mass", "lateral_friction", "rolling_friction", "spinning_friction", "stiffness", "damping"), ("value",)),
+}
+"""Element that is read -> its attributes."""
 _SEVERAL = frozenset({"link", "joint", "material", "gazebo", "visual", "collision"})
 """Elements of which all count; of others, the first."""
 _WHY = {
@@ -47,6 +68,7 @@ def left_out(top: ET.Element, source: str) -> list[str]:
     """
     unread: Counter[str] = Counter()
     unknown: Counter[str] = Counter()
+    attributes: Counter[str] = Counter()
     repeated: list[str] = []
     elements = [(top, "the robot")]
     for element, owner in elements:
@@ -63,7 +85,13 @@ def left_out(top: ET.Element, source: str) -> list[str]:
         geometry = element.find("geometry") if element.tag in ("visual", "collision") else None
         if geometry is not None and len(geometry) > 1:
             repeated.append(f"{len(geometry)} shapes in a <geometry> of {owner}")
+        if element is top:
+            attributes.update(_unknown_attributes(top))
         for child in element:
+            if child.tag in known:
+                attributes.update(
+                    name for read in (child, *(child if child.tag == "geometry" else ())) for name in _unknown_attributes(read)
+                )
             if child.tag in known and child.tag in _CHILDREN:
                 elements.append((child, _owner(child, owner)))
     lines = []
@@ -72,6 +100,8 @@ def left_out(top: ET.Element, source: str) -> list[str]:
         lines.append(f"{source}: not simulated: {parts}")
     if unknown:
         lines.append(f"{source}: elements that URDF does not have are left out: {_counted(unknown)}")
+    if attributes:
+        lines.append(f"{source}: attributes that URDF does not have have no effect: {_counted(attributes)}")
     if repeated:
         lines.append(f"{source}: only the first of several counts: {listed(repeated)}")
     rates = [
@@ -89,6 +119,14 @@ def left_out(top: ET.Element, source: str) -> list[str]:
             f"{source}: version {quoted(version, _LONGEST_NAME)} is read as {VERSIONS[0]}; known: {', '.join(VERSIONS)} (ROS refuses others)"
         )
     return lines
+
+
+def _unknown_attributes(element: ET.Element) -> list[str]:
+    """Returns the attributes of an element that is read that URDF does not have; those with a prefix belong to others."""
+    if element.tag not in _ATTRIBUTES:
+        return []
+    names = [name for name in element.attrib if name not in _ATTRIBUTES[element.tag] and ":" not in name and "}" not in name]
+    return [f"{clipped(name, _LONGEST_NAME)} of <{element.tag}>" for name in names]
 
 
 def listed(names: Iterable[str]) -> str:

@@ -182,6 +182,9 @@ class SdfBodyReader:
     def _auto_inertial(self, link: _FlatLink, item: Element, name: str) -> Inertial | None:
         """Returns the mass and inertia of a link that SDF computes from the volume and density of its collision shapes."""
         where = f"link {name}: inertial"
+        unused = " and ".join(f"<{tag}>" for tag in ("inertia", "pose") if item.find(tag) is not None)
+        if unused:
+            self.builder.warn(f"{where}: auto is true; {unused} beside it has no effect, and the <collision> shapes decide")
         parts = []
         for collision in link.element.iterfind("collision"):
             density = self._density(collision, item, where)

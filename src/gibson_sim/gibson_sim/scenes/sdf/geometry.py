@@ -14,7 +14,7 @@ from gibson_sim.formats.mesh import UpAxis
 from gibson_sim.formats.uris import UriResolver, fuel_model
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf.elements import F64, Element, numbers, pose_matrix, text_of
+from gibson_sim.scenes.sdf.elements import F64, Element, name_of, numbers, pose_matrix, text_of
 from gibson_sim.scenes.sdf.scopes import Scope, reference_of
 from gibson_sim.types import Vec3
 
@@ -65,12 +65,20 @@ class SdfShapes:
             where: link or model, for warnings.
         """
         geometry = element.find("geometry")
-        if geometry is None:
+        shapes = [] if geometry is None else [kind for kind in geometry if ":" not in kind.tag and "{" not in kind.tag]
+        if not shapes:
+            what = f"<{element.tag}> {quoted(name_of(element))}"
+            missing = "has no <geometry>" if geometry is None else "has a <geometry> without a shape"
+            self.builder.warn(f"{where}: {what} {missing}; left out", OmissionKind.INVALID)
             return
+        if len(shapes) > 1:
+            tags = ", ".join(f"<{kind.tag}>" for kind in shapes)
+            what = f"<{element.tag}> {quoted(name_of(element))}"
+            self.builder.warn(f"{where}: the <geometry> of {what} has several shapes, {tags}, must have one; the first is used")
         reference = reference_of(element)
         parent = T_scope @ scope.pose(reference) if reference else T_link
         matrix = parent @ pose_matrix(element, where, self.builder.warn)
-        for kind in geometry:
+        for kind in shapes[:1]:
             if kind.tag == "mesh":
                 yield from self._mesh(kind, matrix, where, scope)
             elif kind.tag == "plane":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -51,6 +52,7 @@ _ELEMENTS: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
         **_out("the origin has no place on the globe", "spherical_coordinates"),
         **_out("the world starts in the poses of its models", "state"),
     },
+    "include": {**_none("uri", "pose", "name", "static", "placement_frame"), **_out(_PLUGINS, "plugin")},
     "scene": {
         **_none("ambient", "background"),
         **_out("the background has one colour", "sky", "fog"),
@@ -186,6 +188,28 @@ _ELEMENTS: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
 Keys with a slash are for elements that differ with their parent. Children of an element that is a key are looked at in turn."""
 
 
+_SEVERAL = frozenset(
+    {
+        "include", "model", "frame", "light", "actor", "population", "road", "link", "joint", "collision", "visual", "sensor", "plugin",
+    }
+)  # fmt: skip
+"""Elements of which all count; of others, the first."""
+_ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    "pose": ("relative_to", "frame", "degrees", "rotation_format"),
+    "model": ("name", "canonical_link", "placement_frame"),
+    "frame": ("name", "attached_to"),
+    "joint": ("name", "type"),
+    "light": ("name", "type"),
+    "include": ("merge",),
+    "inertial": ("auto",),
+    "mesh": ("optimization",),
+    "xyz": ("expressed_in",),
+    "mimic": ("joint", "axis"),
+    **dict.fromkeys(("world", "link", "visual", "collision", "actor", "population", "road"), ("name",)),
+}
+"""Element that is read -> its attributes; others have none."""
+
+
 @dataclass(slots=True)
 class _Omitted:
     """Elements left out for one reason."""
@@ -200,6 +224,9 @@ class LeftOut:
     def __init__(self) -> None:
         self._omitted: dict[str, _Omitted] = {}
         self._unknown: dict[tuple[str, str], None] = {}
+        self._attributes: dict[str, None] = {}
+        self._repeated: dict[str, None] = {}
+        self._same_names: dict[str, None] = {}
 
     def look(self, element: Element, where: str, key: str = "", skip: Iterable[str] = ()) -> None:
         """Collects the descendants of an element that have no effect, except nested models.
@@ -210,8 +237,11 @@ class LeftOut:
             key: key of its children in ``_ELEMENTS``; empty = its tag.
             skip: tags of children that are not looked at.
         """
+        if not key:
+            self._look_at_attributes(element)
         key = key or element.tag
         rows = _ELEMENTS[key]
+        self._look_at_siblings(element, where, rows)
         for child in element:
             if not isinstance(child.tag, str) or ":" in child.tag or "{" in child.tag or child.tag in skip:
                 continue
@@ -219,6 +249,9 @@ class LeftOut:
                 self._unknown[element.tag, child.tag] = None
                 continue
             reason, harmless = rows[child.tag]
+            if not reason and child.tag != "model":
+                for read in child.iter() if child.tag == "geometry" else (child,):
+                    self._look_at_attributes(read)
             inner = f"{key}/{child.tag}" if f"{key}/{child.tag}" in _ELEMENTS else child.tag
             if reason:
                 if " ".join((child.text or "").lower().split()) not in harmless:
@@ -230,6 +263,23 @@ class LeftOut:
             values = numbers(element.findtext(first), (1,)), numbers(element.findtext(second), (1,))
             if values[1] is not None and values[0] != values[1]:
                 self.add(second, _CONTACTS, where)
+
+    def _look_at_attributes(self, element: Element) -> None:
+        """Collects the attributes that SDF does not have."""
+        known = _ATTRIBUTES.get(element.tag, ())
+        for name in element.attrib:
+            if name not in known and ":" not in name and "{" not in name:
+                self._attributes[f"{clipped(name, 60)} of <{clipped(element.tag, 60)}>"] = None
+
+    def _look_at_siblings(self, element: Element, where: str, rows: dict[str, tuple[str, tuple[str, ...]]]) -> None:
+        """Collects elements of which only the first counts, and shapes of the same name."""
+        for tag, count in Counter(child.tag for child in element).items():
+            if count > 1 and tag in rows and not rows[tag][0] and tag not in _SEVERAL:
+                self._repeated[f"{count} <{tag}> in {_named_element(element, where)}"] = None
+        for tag in ("collision", "visual"):
+            for name, count in Counter(name_of(child) for child in element.iterfind(tag)).items():
+                if name and count > 1:
+                    self._same_names[f"{count} <{tag}> {clipped(name, 60)} in {_named_element(element, where)}"] = None
 
     def add(self, tag: str, reason: str, name: str) -> None:
         """Adds an element that has no effect."""
@@ -245,6 +295,14 @@ class LeftOut:
         if self._unknown:
             names = listed([f"<{tag}> in <{parent}>" for parent, tag in self._unknown])
             warn(f"{names}: unknown in SDF; left out", OmissionKind.OTHER)
+        for found, problem in (
+            (self._attributes, "attributes that SDF does not have; they have no effect"),
+            (self._repeated, "only the first of several counts"),
+            (self._same_names, "names must be unique; all are read"),
+        ):
+            if found:
+                warn(f"{listed(list(found))}: {problem}", OmissionKind.OTHER)
+            found.clear()
         self._omitted.clear()
         self._unknown.clear()
 
@@ -252,6 +310,18 @@ class LeftOut:
 def _named(child: Element, where: str) -> str:
     name = clipped(name_of(child), 60)
     return f"{name} ({where})" if name else where
+
+
+def _named_element(element: Element, where: str) -> str:
+    """Returns what an element is called in a warning, with what it is part of."""
+    name = clipped(name_of(element), 60)
+    return (
+        where
+        if element.tag in ("world", "model")
+        else f"{element.tag} {name} ({where})"
+        if name
+        else f"<{element.tag}> ({where})"
+    )
 
 
 def listed(names: list[str]) -> str:

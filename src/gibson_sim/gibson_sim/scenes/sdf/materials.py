@@ -101,6 +101,8 @@ def _color(material: Element, tag: str, where: str, warn: Warn) -> Rgba | None:
     if values is None:
         warn(f"{where}: <{tag}> is {quoted(text)}, must be three or four numbers; left out", OmissionKind.OTHER)
         return None
+    if not all(0.0 <= value <= 1.0 for value in values):
+        warn(f"{where}: <{tag}> is {quoted(text)}, must be 0 to 1; it is clipped", OmissionKind.OTHER)
     r, g, b, a = (min(max(v, 0.0), 1.0) for v in ([*values, 1.0][:4]))
     return r, g, b, a or 1.0
 

@@ -37,6 +37,8 @@ from gibson_sim.types import Rgba
 
 _PLAIN_GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 """Colour of collision shapes that are drawn in place of missing visuals, sRGB and alpha."""
+_NEWEST = (1, 12)
+"""Newest version of SDF that is read."""
 _MAX_NESTING = 16
 """Maximum nesting depth of models."""
 _MAX_MODELS = 10_000
@@ -78,6 +80,7 @@ class SdfModels:
         Raises:
             SceneError: models are nested too deeply, there are too many, or a chain of frames is too long.
         """
+        self._check_version(version, f"model {name}" if file is None else str(file))
         files = () if file is None else (Path(os.path.realpath(file)),)
         scope = Scope(element, name, base, version, self.builder.warn, files, is_static=is_true(element.findtext("static")))
         self._fill(scope, 0)
@@ -209,7 +212,14 @@ class SdfModels:
                 kind = tops[0].tag
                 self.builder.warn(f"{path}: holds more than one <{kind}>; the first <{kind}> is used", OmissionKind.OTHER)
             self._documents[path] = tops[0], sdf_version(root)
+            self._check_version(sdf_version(root), str(path))
         return self._documents[path]
+
+    def _check_version(self, version: tuple[int, ...], where: str) -> None:
+        """Warns about a version of SDF that is newer than the newest one that is read."""
+        if version[:2] > _NEWEST:
+            newest, given = (".".join(map(str, parts)) for parts in (_NEWEST, version))
+            self.builder.warn(f"{where}: is SDF {given}, and is read as {newest}, the newest version known here")
 
     def find_model(self, uri: str, base: Path) -> Path | None:
         """Returns the SDF file of the model at a URI, or None with a warning; ``base``: folder of relative URIs."""

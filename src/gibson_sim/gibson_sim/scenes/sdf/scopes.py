@@ -97,12 +97,10 @@ class Scope:
             self.frames[name] = frame
             return
         tags = {known.element.tag, frame.element.tag}
-        # Two links are refused by the reader of links; two models are both read, and the first has the name.
-        if self.version >= (1, 7) and tags not in ({"link"}, {"model"}):
-            self.warn(
-                f"{self.where}: the name {quoted(name)} is used by a <{known.element.tag}> and a <{frame.element.tag}>, must be unique",
-                OmissionKind.OTHER,
-            )
+        # Two links of a body are refused by its reader; else both are read, and the first has the name.
+        if self.version >= (1, 7) or len(tags) == 1:
+            who = f"two <{frame.element.tag}>" if len(tags) == 1 else f"a <{known.element.tag}> and a <{frame.element.tag}>"
+            self.warn(f"{self.where}: the name {quoted(name)} is used by {who}, must be unique", OmissionKind.OTHER)
         if _RANKS.index(frame.element.tag) < _RANKS.index(known.element.tag):
             self.frames[name] = frame
 

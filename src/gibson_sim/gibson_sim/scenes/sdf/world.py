@@ -30,6 +30,7 @@ _LIGHT_NUMBERS = (
     "spot/outer_angle",
 )  # fmt: skip
 """Paths of the numbers of a light."""
+_COLORS = ("diffuse", "ambient", "background")
 _MIN_AMBIENT = 0.2
 """Minimum ambient light, so that a scene without lights is not black."""
 
@@ -97,6 +98,9 @@ def _vector(builder: SceneBuilder, element: Element, path: str, counts: tuple[in
         builder.warn(
             f"{where}: <{tag}> is {quoted(text)}, must be {count} finite numbers; the default is used", OmissionKind.INVALID
         )
+    if values is not None and path.rpartition("/")[2] in _COLORS and not all(0.0 <= value <= 1.0 for value in values):
+        where = f"{element.tag} {name_of(element)}"
+        builder.warn(f"{where}: <{path.rpartition('/')[2]}> is {quoted(text)}, must be 0 to 1; it is clipped")
     return values
 
 
