@@ -398,3 +398,10 @@ def test_faces_of_two_corners_are_named(tmp_path: Path) -> None:
         area(_warned(tmp_path, f"{SQUARE}f 1 2 3 4\nf 1 2\nf 1/1 3\n".replace("f 1/1 3", "f 3"), "2 face(s)", "no surface"))
         == 4.0
     )
+
+
+@rule(FORMAT, "v x y z r g b above 1", "done", "up to 2 they are fractions, clipped to 1; above, white is 255")
+def test_fractions_may_exceed_white(tmp_path: Path) -> None:
+    part = _part(tmp_path, "v 0 0 0 1.02 0 0\nv 1 0 0 0 0.2 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    assert part.colors is not None
+    assert part.colors.tolist() == [[255, 0, 0], [0, 51, 0], [0, 0, 255]]

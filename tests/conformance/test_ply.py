@@ -290,3 +290,11 @@ def test_colours_beside_a_texture_are_named(tmp_path: Path) -> None:
     data = _text([f"{v} 0 0 1 2 3" for v in VERTICES], vertex=vertex, comments="comment TextureFile wood.png\n")
     part = _warned(tmp_path, data, "colours are left out", "texture is drawn")
     assert part.material.texture is not None
+
+
+@rule(FORMAT, "colours as fractions above 1", "done", "up to 2 they are fractions, clipped to 1; above, white is 255")
+def test_fractions_may_exceed_white(tmp_path: Path) -> None:
+    vertex = "".join(f"property float {name}\n" for name in ("red", "green", "blue"))
+    part = _load(tmp_path, _text([f"{v} 1.02 0.2 0" for v in VERTICES], vertex=vertex)).parts[0]
+    assert part.colors is not None
+    assert part.colors.tolist() == [[255, 51, 0]] * 4

@@ -23,6 +23,8 @@ MATTE_ROUGHNESS = 0.9
 """Minimum roughness of a matte surface, which is not a metal either."""
 LIGHT_GREY: Rgba = (0.8, 0.8, 0.8, 1.0)
 """Colour of surfaces whose file gives none, sRGB and alpha."""
+MAX_FRACTION = 2.0
+"""Largest vertex colour of a file that counts as a fraction: white is 1, which light may exceed; above, white is 255."""
 
 
 Wrap = Literal["repeat", "mirror", "clamp"]

@@ -19,7 +19,18 @@ from numpy.typing import NDArray
 from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.file_roots import is_inside
-from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, Material, MeshPart, Sampling, area_normals, build_part, index_corners
+from gibson_sim.formats.mesh import (
+    F64,
+    I64,
+    LIGHT_GREY,
+    MAX_FRACTION,
+    Material,
+    MeshPart,
+    Sampling,
+    area_normals,
+    build_part,
+    index_corners,
+)
 from gibson_sim.formats.polygons import triangulate
 from gibson_sim.formats.textures import TextureStore, Warn, local_path
 from gibson_sim.quoting import quoted
@@ -190,7 +201,7 @@ def _colors(path: Path, lines: list[str], counts: list[int], warn: Warn) -> NDAr
     values = np.nan_to_num(values)
     colors = np.full((len(lines), 3), 255, dtype=np.uint8)
     # Some programs write 0 to 1, others 0 to 255.
-    colors[has_color] = np.rint(np.clip(values * (1.0 if values.max() > 1.0 else 255.0), 0.0, 255.0))
+    colors[has_color] = np.rint(np.clip(values * (1.0 if values.max() > MAX_FRACTION else 255.0), 0.0, 255.0))
     return colors
 
 

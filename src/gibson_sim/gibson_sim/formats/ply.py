@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
-from gibson_sim.formats.mesh import F64, I64, Material, MeshPart, build_part, index_corners
+from gibson_sim.formats.mesh import F64, I64, MAX_FRACTION, Material, MeshPart, build_part, index_corners
 from gibson_sim.formats.polygons import triangulate
 from gibson_sim.formats.textures import TextureStore, Warn
 from gibson_sim.quoting import quoted
@@ -306,7 +306,7 @@ def _white(values: NDArray[Any]) -> float:
     """Returns the value of white, which the format does not specify: programs write fractions, 0 to 255 in any type, and 16 bits."""
     largest = np.nan_to_num(values).max(initial=0)
     if values.dtype.kind == "f":
-        return 1.0 if largest <= 1.0 else 255.0
+        return 1.0 if largest <= MAX_FRACTION else 255.0
     return 65535.0 if values.dtype.itemsize == 2 and largest > 255 else 255.0
 
 
