@@ -116,6 +116,18 @@ def test_mesh_becomes_one_rigid_link(tmp_path: Path, suffix: str) -> None:
     assert body.model.links[0].inertial is not None
 
 
+def test_details_of_a_mesh_that_are_left_out_refuse_no_spawn(tmp_path: Path) -> None:
+    _write(tmp_path / "tip.mtl", "newmtl m\nKd 1 0 0\nmap_bump gone.png\n")
+    _write(
+        tmp_path / "tip.obj",
+        "mtllib tip.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nl 1 2\nusemtl m\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n",
+    )
+    geometry = "<geometry><mesh><uri>tip.obj</uri></mesh></geometry>"
+    link = f"<link name='l'><visual name='v'>{geometry}</visual><collision name='c'>{geometry}</collision></link>"
+    body = _body(str(_write(tmp_path / "tip.sdf", f"<sdf version='1.7'><model name='m'>{link}</model></sdf>")))
+    assert any("map_bump is left out" in line for line in body.model.warnings)
+
+
 def test_thing_of_too_many_triangles_is_refused_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _write(tmp_path / "square.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nf 1 2 3\nf 1 3 4\n")
     geometry = "<geometry><mesh><uri>square.obj</uri></mesh></geometry>"

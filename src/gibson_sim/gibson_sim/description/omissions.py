@@ -22,7 +22,7 @@ class OmissionKind(Enum):
     UNSUPPORTED_ASSET = auto()
     """A mesh or texture that exists but cannot be used."""
     UNSUPPORTED_ELEMENT = auto()
-    """An element that is not simulated."""
+    """An element of a model or world that is not simulated; details of meshes are ``OTHER``, for they refuse no spawn."""
     UP_UNCLEAR = auto()
     """The up axis is not given and could not be determined."""
 

@@ -114,7 +114,7 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
         elif key and not key.startswith("#") and key not in _WITHOUT_EFFECT:
             left_out[key] += 1
     for key, count in left_out.items():
-        warn(Omission(f"{path}: {count} line(s) {quoted(key)} {_LEFT_OUT.get(key, _UNKNOWN)}", OmissionKind.UNSUPPORTED_ELEMENT))
+        warn(f"{path}: {count} line(s) {quoted(key)} {_LEFT_OUT.get(key, _UNKNOWN)}")
     if not rows["v"][0]:
         raise MeshError(f"{path}: has no vertices; is it an OBJ file?")
     counts = [len(line.split()) for line in rows["v"][1]]
@@ -190,11 +190,7 @@ def _colors(path: Path, lines: list[str], counts: list[int], warn: Warn) -> NDAr
         else:
             values = np.array([line.split()[3:6] for line in texts], dtype=np.float64)
     except ValueError:
-        warn(
-            Omission(
-                f"{path}: the colours of its vertices are left out, since one is not a number", OmissionKind.UNSUPPORTED_ELEMENT
-            )
-        )
+        warn(f"{path}: the colours of its vertices are left out, since one is not a number")
         return None
     if not has_color.all():
         warn(f"{path}: {int((~has_color).sum())} of {len(lines)} vertices have no colour; they are white")
@@ -248,7 +244,7 @@ def _faces_by_material(
         faces[material].append(_Faces(*(column[corners] for column in index)))
     if too_small:
         text = f"{path}: {too_small} face(s) of fewer than 3 corners are left out: they have no surface"
-        warn(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
+        warn(text)
     return {
         name: _Faces(*(np.concatenate([getattr(f, field) for f in groups_of_faces]) for field in ("positions", "uvs", "normals")))
         for name, groups_of_faces in faces.items()
@@ -351,9 +347,9 @@ def _material(
     said = f"{mtl}: material {quoted(name)}"
     for key in block:
         if key in _MTL_LEFT_OUT:
-            warn(Omission(f"{said}: {key} is left out; {_MTL_LEFT_OUT[key]}", OmissionKind.UNSUPPORTED_ELEMENT))
+            warn(f"{said}: {key} is left out; {_MTL_LEFT_OUT[key]}")
         elif key not in _MTL_USED and key not in _MTL_WITHOUT_EFFECT:
-            warn(Omission(f"{said}: {quoted(key)} is unknown and has no effect", OmissionKind.UNSUPPORTED_ELEMENT))
+            warn(f"{said}: {quoted(key)} is unknown and has no effect")
     uri, mapping, clamp = _texture(said, block.get("map_kd", ""), warn)
     uri = uri if is_file(local_path(uri, mtl.parent)) else _without_comment(uri)
     # Paths are relative to the .mtl, but warnings and the search for missing textures use the mesh.
@@ -393,7 +389,7 @@ def _color(said: str, block: dict[str, str], key: str, default: Vec3, warn: Warn
     if not words:
         return default
     if len(words) not in (1, 3) or not all(map(_is_number, words)):
-        warn(Omission(f"{said}: {key} {quoted(' '.join(words))} is left out, must be r g b", OmissionKind.UNSUPPORTED_ELEMENT))
+        warn(f"{said}: {key} {quoted(' '.join(words))} is left out, must be r g b")
         return default
     r, g, b = (min(max(float(word), 0.0), largest) for word in (words * 3 if len(words) == 1 else words))
     return r, g, b
@@ -432,12 +428,7 @@ def _texture(said: str, text: str, warn: Warn) -> tuple[str, _Mapping, bool]:
         elif option == "-clamp":
             clamp = values == ["on"]
         elif option in _OPTIONS_LEFT_OUT:
-            warn(
-                Omission(
-                    f"{said}: option {option} of map_Kd is left out; {_OPTIONS_LEFT_OUT[option]}",
-                    OmissionKind.UNSUPPORTED_ELEMENT,
-                )
-            )
+            warn(f"{said}: option {option} of map_Kd is left out; {_OPTIONS_LEFT_OUT[option]}")
     return text.strip(), _Mapping((scale[0], scale[1]), (offset[0], offset[1])), clamp
 
 

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.mesh import F64, I64, MAX_FRACTION, Material, MeshPart, build_part, index_corners
 from gibson_sim.formats.polygons import triangulate
@@ -120,11 +119,11 @@ def load_ply(path: Path, data: bytes, textures: TextureStore, files: list[Path],
     """
     ply = read_ply(path, data)
     for line in ply.omissions:
-        warn(Omission(f"{path}: {line}", OmissionKind.UNSUPPORTED_ELEMENT))
+        warn(f"{path}: {line}")
     material = _material(path, ply, textures, files, warn)
     has_colors = ply.colors is not None or ply.corner_colors is not None
     if has_colors and material is not None and material.texture is not None:
-        warn(Omission(f"{path}: its colours are left out; the texture is drawn", OmissionKind.UNSUPPORTED_ELEMENT))
+        warn(f"{path}: its colours are left out; the texture is drawn")
     part = ply_part(str(path), ply, ply.triangulated()[0], material)
     return [] if part is None else [part]
 

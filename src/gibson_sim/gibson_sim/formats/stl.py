@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.mesh import F64, Material, MeshPart, build_part, unit
 from gibson_sim.formats.textures import Warn
@@ -62,7 +61,7 @@ def _corners(path: Path, data: bytes, warn: Warn) -> F64:
             # VisCAM marks a colour by the highest bit, Magics by the header; other values are of no meaning outside of their program.
             if (facets["attribute"] & 0x8000).any() or b"COLOR=" in data[:80]:
                 text = f"{path}: the colours of its triangles are left out; the surface is light grey"
-                warn(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
+                warn(text)
             return facets["corners"].astype(np.float64)
         if not is_text:
             raise MeshError(
