@@ -13,6 +13,7 @@ from gibson_sim.errors import MeshError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.formats.mesh import Mesh, MeshPart
 from support.gltf import png
+from support.triangles import corners
 
 FORMAT = "COLLADA"
 V = '<input semantic="VERTEX" source="#v" offset="0"/>'
@@ -95,11 +96,6 @@ def _area(part: MeshPart) -> float:
     return float(np.cross(b - a, c - a)[:, 2].sum() / 2)
 
 
-def _corners(part: MeshPart) -> list[list[list[float]]]:
-    corners: list[list[list[float]]] = (part.vertices[part.triangles].astype(float).round(4) + 0.0).tolist()
-    return corners
-
-
 # Document
 
 
@@ -144,7 +140,7 @@ def test_unit_is_applied(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("up", "second"), [("Z_UP", [4, 0, 0]), ("Y_UP", [4, 0, 0]), ("X_UP", [0, 0, 4])])
 @rule(FORMAT, "<asset><up_axis>", "done", "X_UP, Y_UP and Z_UP; Y_UP where it is missing")
 def test_up_axis_is_applied(tmp_path: Path, up: str, second: list[float]) -> None:
-    assert _corners(_part(tmp_path, _text(asset=f"<up_axis>{up}</up_axis>")))[0][1] == second
+    assert corners(_part(tmp_path, _text(asset=f"<up_axis>{up}</up_axis>")))[0][1] == second
 
 
 @rule(FORMAT, "<up_axis> of another value", "approximated", "Y_UP is used")
@@ -362,7 +358,7 @@ def test_broken_numbers_are_refused_in_one_line(tmp_path: Path, old: str, new: s
 @rule(FORMAT, "<matrix>, <translate>, <rotate>, <scale>, <skew>, <lookat>", "done", "composed in the order of the file")
 def test_transforms_of_nodes(tmp_path: Path, transform: str, second: list[float]) -> None:
     part = _part(tmp_path, _text(node=transform + PLACE.format(BIND.format(""))))
-    np.testing.assert_allclose(_corners(part)[0][1], second, atol=1e-4)
+    np.testing.assert_allclose(corners(part)[0][1], second, atol=1e-4)
 
 
 @rule(FORMAT, "transform of another length", "refused")
@@ -375,7 +371,7 @@ def test_transform_with_too_few_numbers_is_refused(tmp_path: Path) -> None:
 def test_instances_of_nodes(tmp_path: Path) -> None:
     library = f'<library_nodes><node id="n"><translate>0 0 1</translate>{PLACE.format(BIND.format(""))}</node></library_nodes>'
     node = '<translate>0 0 5</translate><instance_node url="#n"/>'
-    assert _corners(_part(tmp_path, _text(libraries=library, node=node)))[0][0] == [0, 0, 6]
+    assert corners(_part(tmp_path, _text(libraries=library, node=node)))[0][0] == [0, 0, 6]
 
 
 @rule(FORMAT, "references into other files", "left out", "put everything into one file")
@@ -396,13 +392,13 @@ OTHER_SCENE = '<visual_scene id="other"><node><translate>0 0 3</translate><insta
 
 @rule(FORMAT, "<scene><instance_visual_scene>", "done")
 def test_scene_names_its_visual_scene(tmp_path: Path) -> None:
-    assert _corners(_part(tmp_path, _text(scenes=OTHER_SCENE)))[0][0] == [0, 0, 0]
+    assert corners(_part(tmp_path, _text(scenes=OTHER_SCENE)))[0][0] == [0, 0, 0]
 
 
 @rule(FORMAT, "several scenes, none named", "approximated", "the first is used")
 def test_first_scene_is_used_with_a_warning(tmp_path: Path) -> None:
     text = _text(scenes=OTHER_SCENE, scene="").replace('material="s"', "")
-    assert _corners(_warned(tmp_path, text, "2 visual scenes", "'other' is used"))[0][0] == [0, 0, 3]
+    assert corners(_warned(tmp_path, text, "2 visual scenes", "'other' is used"))[0][0] == [0, 0, 3]
 
 
 @rule(FORMAT, "no visual scene", "approximated", "every geometry is drawn at the origin")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Sequence
 
 LONGEST = 80
 """Default maximum length of a quoted value, characters."""
@@ -37,6 +38,12 @@ def quoted(value: object, longest: int = LONGEST) -> str:
         return f"{len(value)} bytes"
     text = _BRIEF.repr(value)
     return text if len(text) <= longest else f"{text[:longest]}..."
+
+
+def enumerated(names: Sequence[str], most: int) -> str:
+    """Returns the first ``most`` names of a list for a message, and how many more there are."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def clipped(text: str, longest: int) -> str:

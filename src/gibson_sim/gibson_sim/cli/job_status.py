@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.processes.job_folder import LOADED, PAGE, READY, STATUS, read_note
+from gibson_sim.quoting import enumerated
 
 PERIOD_S = 10.0
 """Interval between two status lines without a terminal, seconds of wall time."""
@@ -98,5 +99,4 @@ class JobStatus:
 
 
 def _names(things: Sequence[str]) -> str:
-    more = len(things) - _MOST_NAMES
-    return ", ".join(things[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+    return enumerated(things, _MOST_NAMES)

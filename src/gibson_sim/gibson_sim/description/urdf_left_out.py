@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterable
 
-from gibson_sim.quoting import clipped, quoted
+from gibson_sim.quoting import clipped, enumerated, quoted
 
 VERSIONS = ("1.0", "1.1", "1.2")
 """Versions of the format that are read: 1.1 adds ``quat_xyzw`` and capsules, 1.2 limits of acceleration, deceleration and jerk."""
@@ -131,9 +131,7 @@ def _unknown_attributes(element: ET.Element) -> list[str]:
 
 def listed(names: Iterable[str]) -> str:
     """Returns names for a message: the first few, each of limited length, and how many more there are."""
-    found = [clipped(name, 2 * _LONGEST_NAME) for name in names]
-    more = len(found) - _MOST_NAMED
-    return ", ".join(found[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    return enumerated([clipped(name, 2 * _LONGEST_NAME) for name in names], _MOST_NAMED)
 
 
 def _owner(child: ET.Element, owner: str) -> str:

@@ -29,6 +29,7 @@ from gibson_sim.bags.repairing.sqlite_pages import DatabasePages, PageScan, Row,
 from gibson_sim.bags.sqlite_file import INSERT_METADATA, SCHEMA, as_os_error, contents_of
 from gibson_sim.bags.storage import EmptyFileError, FileContents, FileRepair
 from gibson_sim.errors import RecordError
+from gibson_sim.quoting import enumerated
 
 COMPANIONS = ("-wal", "-journal", "-shm")
 """Endings of the files that SQLite puts beside a database."""
@@ -326,4 +327,4 @@ def _missing(messages: list[tuple[int, Row]]) -> str:
         if number > expected:
             parts.append(f"{expected}" if number == expected + 1 else f"{expected} to {number - 1}")
         expected = number + 1
-    return ", ".join(parts[:20]) + (f" and {len(parts) - 20} more" if len(parts) > 20 else "")
+    return enumerated(parts, 20)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from gibson_sim.description.omissions import OmissionKind
-from gibson_sim.quoting import clipped
+from gibson_sim.quoting import clipped, enumerated
 from gibson_sim.scenes.sdf.elements import Element, Warn, name_of, numbers
 
 _MAX_NAMES = 4
@@ -326,5 +326,4 @@ def _named_element(element: Element, where: str) -> str:
 
 def listed(names: list[str]) -> str:
     """Returns the first names of a list, and the number of the others."""
-    more = len(names) - _MAX_NAMES
-    return ", ".join(names[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
+    return enumerated(names, _MAX_NAMES)
