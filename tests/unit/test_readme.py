@@ -1,11 +1,16 @@
-"""The README is short and its links lead somewhere; the table of parameters is what the program prints."""
+"""The README is short, cells of tables are short, links lead somewhere; the table of parameters is what the program prints."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
+import pytest
+
 from gibson_sim.cli.commands.params import markdown
+
+SHORT_CELLS = ("index", "features", "first_session", "commands")
+"""Pages of ``docs/`` without long cells in tables: a longer text is a section or a list."""
 
 
 def test_parameter_tables_are_those_of_the_program(root: Path) -> None:
@@ -15,12 +20,43 @@ def test_parameter_tables_are_those_of_the_program(root: Path) -> None:
     assert found.group(1).strip() == markdown().strip(), "paste what `gibson-sim params --markdown` prints"
 
 
-def test_readme_fits_a_few_screens_and_its_first_shows_a_picture_and_two_commands(root: Path) -> None:
+def test_readme_fits_a_screen_or_two_and_begins_with_a_picture_and_two_commands(root: Path) -> None:
     lines = (root / "README.md").read_text().splitlines()
-    assert len(lines) <= 120
-    first = lines[:16]
+    assert len(lines) < 60
+    assert [line for line in lines if len(line) > 120] == []
+    first = lines[:17]
     assert sum(line.startswith("![") for line in first) == 1
     assert [line[:10] for line in first if line.startswith("$ ")] == ["$ make run"] * 2
+
+
+def test_bullets_of_the_readme_have_at_most_two_lines(root: Path) -> None:
+    assert _long_bullets((root / "README.md").read_text()) == []
+
+
+def test_a_bullet_of_three_lines_is_found() -> None:
+    assert _long_bullets("- one\n  two\n\ntext\n\n1. one\n   two\n   three\n- next\n") == ["1. one"]
+
+
+@pytest.mark.parametrize("page", ["README.md", "ARCHITECTURE.md", *(f"docs/{name}.md" for name in SHORT_CELLS)])
+def test_table_cells_are_short(root: Path, page: str) -> None:
+    cells = _cells((root / page).read_text())
+    assert [f"{len(cell)} characters: {cell[:60]}" for cell in cells if len(cell) > 200] == []
+
+
+def test_an_escaped_bar_does_not_end_a_cell() -> None:
+    assert _cells("text | text\n| `a\\|b` | c |\n") == ["`a\\|b`", "c"]
+
+
+def _long_bullets(text: str) -> list[str]:
+    """Returns the first line of each list item that has more than two lines."""
+    items = re.findall(r"^ *(?:[-*]|\d+\.) .*(?:\n(?! *(?:[-*]|\d+\.) ) *\S.*)*", text, re.MULTILINE)
+    return [item.splitlines()[0] for item in items if item.count("\n") > 1]
+
+
+def _cells(text: str) -> list[str]:
+    """Returns the cells of all tables."""
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    return [cell.strip() for row in rows for cell in re.split(r"(?<!\\)\|", row)[1:-1]]
 
 
 def test_index_leads_to_every_page(root: Path) -> None:
