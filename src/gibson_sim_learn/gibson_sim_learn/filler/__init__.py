@@ -1,1 +1,1 @@
-"""The network that fills holes of scans, and mends their blur: pairs, training, evaluation. What runs it is ``gibson_sim.filling``."""
+"""The network that fills holes of scans and sharpens blurred regions: pairs, training, evaluation. ``gibson_sim.filling`` runs it."""

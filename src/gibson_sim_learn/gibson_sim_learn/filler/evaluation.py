@@ -1,4 +1,4 @@
-"""What fillers reach on scenes that they were not trained in: scores of single views, flicker on drives, and a sheet of examples.
+"""Evaluates fillers in scenes that they were not trained in: scores of single views, flicker on drives, and a contact sheet of examples.
 
 Learned fillers run as in the simulator, through ``gibson_sim.filling``.
 """
@@ -26,36 +26,36 @@ from gibson_sim_learn.path_following.data import ROBOT_RADIUS, DataSettings, dra
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 FillMethod = Callable[[U8, F32, F32, U8], U8]
-"""Takes colours (H, W, 3), depth (H, W), normals (H, W, 3) and hole (H, W) of a ``Frame``; returns filled colours."""
+"""Function that takes colours (H, W, 3), depth (H, W), normals (H, W, 3) and hole (H, W) of a ``Frame`` and returns the filled colours."""
 
 CLASSICAL = ("telea", "navier_stokes", "push_pull")
-"""Methods that need no training."""
+"""Methods without training."""
 _INPAINT_PX = 3.0
-"""Radius of OpenCV's two."""
+"""Radius of OpenCV's two inpainting methods, pixels."""
 _HEIGHT, _FOV = 0.46, 1.2
-"""Of the camera of a drive: metres above the floor, radians."""
+"""Height above the floor, metres, and field of view, radians, of the camera of a drive."""
 _ROWS = 10
-"""Rows of a sheet."""
+"""Rows of a contact sheet."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """How much images change from one to the next beyond what moves in them, of 255: mean absolute difference."""
+    """Mean absolute difference between successive images after motion compensation, levels of 255."""
 
     all: float
     holes: float
-    """In holes of the later image."""
+    """The same in holes of the later image only."""
 
 
 def fill_methods(model: Path, name: str) -> dict[str, FillMethod]:
-    """Returns by name what is compared: ``nothing`` leaves an image as it is, the last one is a network.
+    """Returns the compared methods by name: ``nothing`` returns the unchanged image; the last one is a network.
 
     Args:
         model: file of the network.
-        name: of the network.
+        name: name of the network.
 
     Raises:
-        ConfigError: the model is none.
+        ConfigError: the file is not a filler network.
     """
 
     def inpainted(method: int) -> FillMethod:
@@ -77,7 +77,7 @@ def fill_methods(model: Path, name: str) -> dict[str, FillMethod]:
 def scores_of(
     pairs: Sequence[Pairs], methods: Mapping[str, FillMethod], every: int = 1, progress: Callable[[str], None] = lambda text: None
 ) -> dict[str, Score]:
-    """Returns the score of each method on all views of some shards, or on one of so many."""
+    """Returns the score of each method on every ``every``-th view of some shards."""
     gathered = {name: Scoring() for name in methods}
     for number, part in enumerate(pairs):
         for k in range(0, len(part.hole), every):
@@ -89,9 +89,9 @@ def scores_of(
 
 
 def flicker_of(scanned: ScannedScene, methods: Mapping[str, FillMethod], seed: int, frames: int) -> dict[str, Flicker]:
-    """Returns the flicker of each method, and of the true images, ``truth``, on a drive of 5 cm from image to image.
+    """Returns the flicker of each method, and of the true images, ``truth``, on a drive with 5 cm between images.
 
-    The image before is warped by the true depth, where both show the same surface.
+    The previous image is warped by the true depth; only pixels at which both images show the same surface count.
     """
     rng = shard_rng(f"drive {seed} {scanned.scene.name}")
     path = draw_path(scanned.floor, PathPlanner(scanned.floor, ROBOT_RADIUS + 0.08), rng, DataSettings())[:frames]
@@ -125,7 +125,10 @@ def flicker_of(scanned: ScannedScene, methods: Mapping[str, FillMethod], seed: i
 
 
 def sheet(pairs: Sequence[Pairs], methods: Mapping[str, FillMethod], network: str, seed: int) -> U8:
-    """Returns an image, RGB: in each row a view of the scan, filled by push-pull, by the network, and the truth; views by the seed."""
+    """Returns a contact sheet, RGB: in each row a view of the scan, filled by push-pull and by the network, and the ground truth.
+
+    The seed selects the views.
+    """
     rng = np.random.default_rng(seed)
     views = [(part, k) for part in pairs for k in range(len(part.hole))]
     rows = []
@@ -138,7 +141,7 @@ def sheet(pairs: Sequence[Pairs], methods: Mapping[str, FillMethod], network: st
 
 
 def view_arrays(part: Pairs, k: int) -> tuple[U8, F32, F32, U8]:
-    """Returns colours, depth, normals and hole of a view, as of ``Frame``."""
+    """Returns colours, depth, normals and hole of a view, in the format of ``Frame``."""
     return np.array(part.drawn[k]), depth_of(part.depth_mm[k]), normals_of(part.normals[k]), np.array(part.hole[k])
 
 
@@ -161,7 +164,7 @@ def table(scores: Mapping[str, Score], flicker: Mapping[str, Flicker] | None = N
 
 
 def mean_flicker(found: Sequence[Mapping[str, Flicker]]) -> dict[str, Flicker]:
-    """Returns the mean over scenes."""
+    """Returns the mean over scenes of each method's flicker."""
     return {
         name: Flicker(*(float(np.mean([getattr(one[name], part) for one in found])) for part in ("all", "holes")))
         for name in found[0]
@@ -169,7 +172,7 @@ def mean_flicker(found: Sequence[Mapping[str, Flicker]]) -> dict[str, Flicker]:
 
 
 def beats_baselines(scores: Mapping[str, Score], network: str) -> bool:
-    """Returns whether a network, by its name, beats every classical method in holes, and the unfilled image where the scan is seen, by PSNR."""
+    """Returns whether a network has a higher PSNR than every classical method in holes, and than the unfilled image outside holes."""
     learned = scores[network]
     return (
         learned.hole_psnr > max(scores[name].hole_psnr for name in CLASSICAL) and learned.seen_psnr > scores["nothing"].seen_psnr
@@ -177,5 +180,5 @@ def beats_baselines(scores: Mapping[str, Score], network: str) -> bool:
 
 
 def as_json(values: Mapping[str, Score] | Mapping[str, Flicker]) -> dict[str, Any]:
-    """Returns scores or flicker as plain values."""
+    """Returns scores or flicker as plain values, for JSON."""
     return {name: {key: round(number, 4) for key, number in asdict(value).items()} for name, value in values.items()}

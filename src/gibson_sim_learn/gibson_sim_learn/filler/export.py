@@ -1,6 +1,6 @@
-"""Writes the trained filler as ONNX, and its card. Needs PyTorch and onnx.
+"""Writes the trained filler as ONNX, and its model card. Needs PyTorch and onnx.
 
-Input: ``input`` (N, 9, H, W), float32, as ``gibson_sim.filling.inputs`` makes it, H and W multiples of 16. Output: ``image`` (N, 3, H, W),
+Input: ``input`` (N, 9, H, W), float32, as made by ``gibson_sim.filling.inputs``, H and W multiples of 16. Output: ``image`` (N, 3, H, W),
 float32, sRGB, 0 to 1.
 """
 
@@ -31,7 +31,7 @@ _OPSET = 17
 
 
 def command_of(settings: TrainingSettings) -> str:
-    """Returns the command that trains such a network."""
+    """Returns the command that trains a network with these settings."""
     return f"gibson-sim learn filler train{options_of(settings)}"
 
 
@@ -40,10 +40,10 @@ def export_network(network: FillerNetwork, file: Path, settings: TrainingSetting
 
     Args:
         network: the network.
-        file: Markdown file.
-        settings: of the training.
+        file: path of the ONNX file.
+        settings: settings of the training.
         data: hash of the pairs.
-        iteration: until which it was trained.
+        iteration: iteration from which the weights are.
     """
     buffer: Any = io.BytesIO()
     with warnings.catch_warnings():
@@ -118,7 +118,7 @@ def write_card(
 
 
 class _Exported(nn.Module):
-    """The network with a clipped image."""
+    """The network with its output clipped to 0 to 1."""
 
     def __init__(self, network: FillerNetwork) -> None:
         super().__init__()

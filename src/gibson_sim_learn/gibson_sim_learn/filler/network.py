@@ -1,7 +1,7 @@
-"""The network of the filler: a small U-Net at half size that corrects images whose holes push-pull has closed.
+"""The network of the filler: a small U-Net at half resolution that corrects images whose holes push-pull has filled.
 
-Four pixels become channels of one at the entrance, and again pixels at the exit. At the bottom, an eighth of the size, dilated layers see
-from one side of a large hole to the other. No layer looks at the statistics of a whole image, so that images of every size are treated alike.
+The input is pixel-unshuffled and the output pixel-shuffled. At the bottom, at an eighth of the size, dilated layers have a receptive field that
+spans a large hole. No layer uses statistics of the whole image, so images of all sizes are processed alike.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _SLOPE = 0.1
 
 
 class FillerNetwork(nn.Module):
-    """Takes inputs (B, 9, H, W), as of ``filling.inputs``, H and W multiples of 16; untrained, it returns their colours."""
+    """Network for inputs (B, 9, H, W) of ``filling.inputs``, H and W multiples of 16; untrained, it returns their colours."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -33,7 +33,7 @@ class FillerNetwork(nn.Module):
         self.exit = nn.Conv2d(_HALF, 12, 3, padding=1)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d):
-                # PyTorch's default shrinks signals from layer to layer; a network without normalisation then learns several times as slowly.
+                # PyTorch's default shrinks signals from layer to layer: a network without normalisation then learns several times more slowly.
                 nn.init.kaiming_normal_(layer.weight, a=_SLOPE, nonlinearity="leaky_relu")
                 assert layer.bias is not None
                 nn.init.zeros_(layer.bias)
@@ -56,7 +56,7 @@ def parameter_count(network: nn.Module) -> int:
 
 
 def multiplications(network: nn.Module, side: int) -> int:
-    """Returns the number of multiplications of an image of a square size, pixels."""
+    """Returns the number of multiplications for a square image of ``side`` pixels."""
     total = 0
 
     def count(layer: nn.Module, _inputs: object, output: Tensor) -> None:
@@ -73,7 +73,7 @@ def multiplications(network: nn.Module, side: int) -> int:
 
 
 class _Residual(nn.Module):
-    """Two layers whose output is added to their input."""
+    """A residual block of two convolutions."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ class _Residual(nn.Module):
 
 
 class _Dilated(nn.Module):
-    """One layer with gaps between its taps, whose output is added to its input."""
+    """A residual block of one dilated convolution."""
 
     def __init__(self, channels: int, dilation: int) -> None:
         super().__init__()

@@ -1,8 +1,8 @@
-"""Pairs of images to learn filling from: what a camera sees in a scan of a scene, and in the scene itself, from the same pose.
+"""Training pairs of the filler: images of a scan of a scene and of the scene itself, from the same pose.
 
-A *shard* is one folder of memory-mapped arrays of one scene. Everything is drawn from the seed, the scene and the number of the shard: an
-interrupted run goes on with the shards that are missing, and equal seeds, scans and software give equal pairs. Views from which little of
-the scan is seen, or that look at something very near, are left out: nobody could say what is in their holes.
+A *shard* is one folder of memory-mapped arrays from one scene. All random numbers come from the seed, the scene and the number of the shard: an
+interrupted run resumes with the missing shards, and equal seeds, scans and software give equal pairs. Views that show little of the scan, or
+very near surfaces, are discarded: the content of their holes cannot be predicted.
 """
 
 from __future__ import annotations
@@ -48,26 +48,26 @@ U16 = NDArray[np.uint16]
 SIDE = 256
 """Edge of a view, pixels."""
 VIEWS = 128
-"""Views of a shard."""
+"""Views per shard."""
 HEIGHTS = (0.2, 1.5)
-"""Of the camera above the floor, metres."""
+"""Smallest and largest height of the camera above the floor, metres."""
 FIELDS_OF_VIEW = (math.radians(35.0), math.radians(100.0))
-"""Narrow ones are like parts of larger images."""
+"""Smallest and largest field of view, radians; narrow views resemble crops of larger images."""
 _PITCHES = (math.radians(-25.0), math.radians(25.0))
 _MAX_HOLE_SHARE = 0.7
-"""Views with a larger share of holes are left out."""
+"""Share of holes above which a view is discarded."""
 _MIN_DEPTH = 0.25
-"""Views are left out that see something nearer than this in more than a tenth of their pixels, metres."""
+"""Depth, metres; a view with more than a tenth of its pixels nearer than this is discarded."""
 _BATCH = 16
-"""Images that are drawn side by side."""
+"""Images per call of the renderer."""
 _MAX_TRIES = 12
-"""Poses that are tried for each view of a shard, at most."""
+"""Maximum number of poses tried per view of a shard."""
 _NORMAL_STEPS = 127.0
 _DIGEST = "digest.txt"
 _MAX_BYTES = 10_000
-"""Of a file with settings or a digest."""
+"""Maximum size of a file with settings or a digest, bytes."""
 _NAMED = 5
-"""Missing shards that a message names."""
+"""Maximum number of missing shards that a message names."""
 _T_CAMERA_OPTICAL = matrix_from_pose(Pose(quat_xyzw=quat_from_rpy(-math.pi / 2.0, 0.0, -math.pi / 2.0)))
 
 
@@ -76,32 +76,32 @@ class Pairs:
     """The pairs of one shard; arrays may be memory-mapped."""
 
     drawn: U8
-    """(N, H, W, 3), RGB: the scan as it is drawn."""
+    """(N, H, W, 3), RGB: the rendered scan."""
     filled: U8
-    """(N, H, W, 3), RGB: the same with its holes closed by push-pull."""
+    """(N, H, W, 3), RGB: the same with its holes filled by push-pull."""
     depth_mm: U16
-    """(N, H, W), depth of the scan, millimetres, 0 = nothing, 65535 = that or more."""
+    """(N, H, W), depth of the scan, millimetres; 0 = nothing, 65535 = that depth or more."""
     normals: I8
-    """(N, H, W, 3), in the optical frame, 127 = 1."""
+    """(N, H, W, 3), normals of the scan in the optical frame; 127 = 1."""
     hole: U8
-    """(N, H, W), as ``Frame.hole``."""
+    """(N, H, W), holes of the scan, as ``Frame.hole``."""
     truth: U8
-    """(N, H, W, 3), RGB: the scene."""
+    """(N, H, W, 3), RGB: the rendered scene."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScannedScene:
-    """A scene, its scan, and where cameras may be."""
+    """A scene, its scan, and the floor map on which cameras are placed."""
 
     scene: SceneSpec
-    """Without robots."""
+    """The scene without robots."""
     scan: SceneSpec
     floor: FloorMap
-    """Of the scene's main storey, with cells of 5 cm."""
+    """Map of the scene's main storey, with cells of 5 cm."""
 
     @classmethod
     def load(cls, name: str, scan: Path) -> ScannedScene:
-        """Returns a scene by name, with the scan in a folder.
+        """Returns a scene, by name, with the scan in a folder.
 
         Raises:
             ConfigError: the scan cannot be loaded.
@@ -112,7 +112,7 @@ class ScannedScene:
             scanned = load_scene(str(scan))
         except GibsonSimError as error:
             raise ConfigError(
-                f"{error}; delete the folder {scan}, and run `gibson-sim learn filler pairs` with the options of before"
+                f"{error}; delete the folder {scan}, and run `gibson-sim learn filler pairs` with the same options as before"
             ) from error
         return cls(scene, scanned, with_bodies(scene, floor, scene.bodies))
 
@@ -125,14 +125,14 @@ def shard_name(scene: str, number: int) -> str:
 def make_pairs(
     folder: Path, scene: str, scan: Path, count: int, seed: int, progress: Callable[[str], None] = lambda text: None
 ) -> None:
-    """Draws the shards of a scene that are missing or damaged.
+    """Renders the missing and damaged shards of a scene.
 
     Args:
-        folder: where they are put.
-        scene: its name.
-        scan: folder of the scene that its scan is.
+        folder: folder of the shards.
+        scene: name of the scene.
+        scan: folder of the scan's scene.
         count: number of shards.
-        seed: of the views.
+        seed: random seed of the views.
         progress: called with one line before each shard.
     """
     todo = []
@@ -172,7 +172,7 @@ def draw_pairs(scanned: ScannedScene, seed: int, number: int, *, views: int = VI
 
 
 def drawn_pairs(scanned: ScannedScene, cameras: Sequence[CameraSpec]) -> Iterator[tuple[Frame, Frame]]:
-    """Yields for each camera its frame of the scan and that of the scene: colours, depth, normals and holes of both."""
+    """Yields, for each camera, its frames of the scan and of the scene, with colours, depth, normals and holes."""
     scene = drawn_scene(scanned.scene, tuple(f"{body.name}/{link}" for body in scanned.scene.bodies for link in body.links))
     state, still = _standing(scanned.scene, scene.links), SceneState.still()
     with (
@@ -189,10 +189,10 @@ def camera_at(pose: Pose, height: float, pitch: float, fov: float, side: int = S
 
     Args:
         pose: T_world_base.
-        height: above the floor, metres.
-        pitch: down is positive, radians.
-        fov: radians.
-        side: pixels.
+        height: height above the floor, metres.
+        pitch: pitch, radians, positive down.
+        fov: field of view, radians.
+        side: width and height of the image, pixels.
     """
     T_base_camera = matrix_from_pose(pose_from_xyz_rpy((0.0, 0.0, height), (0.0, pitch, 0.0)))
     T = matrix_from_pose(pose) @ T_base_camera @ _T_CAMERA_OPTICAL
@@ -200,7 +200,7 @@ def camera_at(pose: Pose, height: float, pitch: float, fov: float, side: int = S
 
 
 def save_pairs(folder: Path, pairs: Pairs) -> None:
-    """Writes a shard and its digest; the folder is there whole or not at all."""
+    """Writes a shard and its digest atomically."""
     arrays = {item.name: getattr(pairs, item.name) for item in fields(Pairs)}
     save_arrays(folder, arrays, {_DIGEST: _digest_text(pairs).decode()})
 
@@ -209,8 +209,8 @@ def load_pairs(folder: Path, names: Sequence[str], progress: Callable[[str], Non
     """Returns shards, memory-mapped.
 
     Args:
-        folder: of the shards.
-        names: of the shards.
+        folder: folder of the shards.
+        names: names of the shards.
         progress: called with one line before each shard.
 
     Raises:
@@ -225,10 +225,10 @@ def load_pairs(folder: Path, names: Sequence[str], progress: Callable[[str], Non
 
 
 def load_shard(folder: Path) -> Pairs:
-    """Returns a shard, memory-mapped, after a comparison with its digest.
+    """Returns a shard, memory-mapped, after comparing it with its digest.
 
     Raises:
-        ConfigError: it cannot be read, or is not what was written.
+        ConfigError: it cannot be read, or differs from its digest.
     """
     remedy = f"run `{command_of(folder.parent)}`, which draws it again"
     pairs = Pairs(*load_arrays(folder, [item.name for item in fields(Pairs)], remedy))
@@ -238,10 +238,10 @@ def load_shard(folder: Path) -> Pairs:
 
 
 def check_present(folder: Path, names: Sequence[str]) -> None:
-    """Checks that shards are there.
+    """Checks that shards exist.
 
     Raises:
-        ConfigError: some are missing; the message names them, and the command that draws them.
+        ConfigError: some are missing; the message names them and the command that renders them.
     """
     missing = missing_shards(folder, names)
     if missing:
@@ -253,12 +253,12 @@ def check_present(folder: Path, names: Sequence[str]) -> None:
 
 
 def missing_shards(folder: Path, names: Sequence[str]) -> list[str]:
-    """Returns the names of the shards that are not in a folder."""
+    """Returns the names of the shards that a folder lacks."""
     return [name for name in names if not (folder / name).is_dir()]
 
 
 def data_hash(folder: Path, names: Sequence[str]) -> str:
-    """Returns a hash of shards, made of their digests, which ``load_pairs`` compares with the arrays.
+    """Returns a hash of the digests of shards; ``load_pairs`` compares the digests with the arrays.
 
     Raises:
         ConfigError: as for ``load_pairs``.
@@ -271,7 +271,7 @@ def data_hash(folder: Path, names: Sequence[str]) -> str:
 
 
 def stored_settings(folder: Path) -> PairsSettings:
-    """Returns the settings of the pairs in a folder; the default if it has none.
+    """Returns the settings of the pairs in a folder; the defaults if it has none.
 
     Raises:
         ConfigError: they cannot be read.
@@ -283,7 +283,7 @@ def stored_settings(folder: Path) -> PairsSettings:
         return PairsSettings(**json.loads(read_file(file, _MAX_BYTES)))
     except (ConfigError, OSError, TypeError, ValueError) as error:
         raise ConfigError(
-            f"{file}: cannot be read: {error}; delete it, and run `gibson-sim learn filler pairs` with the options of before"
+            f"{file}: cannot be read: {error}; delete it, and run `gibson-sim learn filler pairs` with the same options as before"
         ) from error
 
 
@@ -293,7 +293,7 @@ def store_settings(folder: Path, settings: PairsSettings) -> None:
 
 
 def check_stored_settings(folder: Path, settings: PairsSettings) -> None:
-    """Checks that pairs can be added to those in a folder: settings may differ in the number of shards alone.
+    """Checks that pairs can be added to those in a folder: only the number of shards may differ.
 
     Raises:
         ConfigError: another setting differs.
@@ -303,22 +303,22 @@ def check_stored_settings(folder: Path, settings: PairsSettings) -> None:
 
 
 def command_of(folder: Path) -> str:
-    """Returns the command that draws the pairs of a folder."""
+    """Returns the command that renders the pairs of a folder."""
     return f"gibson-sim learn filler pairs --folder {shlex.quote(str(folder.parent))}{options_of(stored_settings(folder))}"
 
 
 def depth_of(depth_mm: U16) -> F32:
-    """Returns metres, +inf = nothing, of an image of ``Pairs.depth_mm``."""
+    """Returns an image of ``Pairs.depth_mm`` in metres, +inf = nothing."""
     return np.where(depth_mm == 0, np.float32(np.inf), depth_mm.astype(np.float32) / np.float32(1000.0))
 
 
 def normals_of(normals: I8) -> F32:
-    """Returns normals of an image of ``Pairs.normals``."""
+    """Returns an image of ``Pairs.normals`` as unit vectors, float32."""
     return np.asarray(normals.astype(np.float32) / np.float32(_NORMAL_STEPS))
 
 
 def is_hole(hole: U8) -> NDArray[np.bool_]:
-    """Returns where a filler fills."""
+    """Returns a mask of the pixels that a filler fills."""
     return np.asarray((hole == NOTHING) | (hole == BACK_FACE))
 
 
@@ -327,7 +327,7 @@ def _digest_text(pairs: Pairs) -> bytes:
 
 
 def _written_digest(folder: Path) -> bytes:
-    """Returns the digest in a shard, empty if it cannot be read."""
+    """Returns the digest stored with a shard; empty if it cannot be read."""
     try:
         return read_file(folder / _DIGEST, _MAX_BYTES)
     except (ConfigError, OSError):
@@ -349,7 +349,7 @@ def _cameras(scanned: ScannedScene, rng: np.random.Generator, count: int) -> lis
 
 def _is_useful(scan: Frame, clean: Frame) -> bool:
     assert scan.hole is not None and clean.depth is not None and clean.hole is not None
-    inside = bool((clean.hole == BACK_FACE).mean() < 0.02)  # a camera within furniture sees its back faces
+    inside = bool((clean.hole == BACK_FACE).mean() < 0.02)  # a camera inside furniture sees back faces
     return inside and float(is_hole(scan.hole).mean()) <= _MAX_HOLE_SHARE and float((clean.depth < _MIN_DEPTH).mean()) <= 0.1
 
 
@@ -370,7 +370,7 @@ def _packed(frames: Sequence[tuple[Frame, Frame]]) -> Pairs:
 
 
 def _standing(scene: SceneSpec, links: tuple[str, ...]) -> SceneState:
-    """Returns the state in which all bodies stand where they are at load, as the scanner saw them."""
+    """Returns the scene state at load, which the scanner saw."""
     poses = [
         pose_from_matrix(matrices[link]) for body in scene.bodies for matrices in (link_transforms(body),) for link in body.links
     ]

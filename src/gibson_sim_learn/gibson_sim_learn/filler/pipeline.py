@@ -1,4 +1,4 @@
-"""The three steps of the filler in one folder: pairs, training, evaluation. Training needs PyTorch and onnx.
+"""The three steps of the filler, in one folder: pairs, training, evaluation. Training needs PyTorch and onnx.
 
 The folder holds ``scans/`` (a folder for each scene), ``pairs/`` (shards) and ``training/`` (checkpoint, curve, network, card).
 """
@@ -43,33 +43,33 @@ from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
 from gibson_sim_learn.training_folder import locked
 
 SCANS, PAIRS, TRAINED = "scans", "pairs", "training"
-"""Folders of a filler's folder."""
+"""Subfolders of a filler's folder."""
 MODEL, CARD = "filler.onnx", "filler.md"
 SCENES = (*TRAINING, *VALIDATION, *HELD_OUT)
 _JUDGED_SHARDS = 2
-"""Shards of scenes that judge."""
+"""Number of shards of each validation and held-out scene."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What a training left."""
+    """Result of a training."""
 
     model: Path
     card: Path
     size: int
-    """Of the model, bytes."""
+    """Size of the model, bytes."""
     summary: str
-    """How near its images are to the truth."""
+    """Scores on the validation scenes, in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """What an evaluation found."""
+    """Result of an evaluation."""
 
     lines: Sequence[str]
-    """A Markdown table."""
+    """A Markdown table, line by line."""
     values: dict[str, Any]
-    """The same for JSON."""
+    """The same as plain values, for JSON."""
 
 
 def make_all_pairs(
@@ -78,13 +78,13 @@ def make_all_pairs(
     scenes: Sequence[str] = SCENES,
     progress: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Scans scenes and draws their pairs, as far as that is not done; damaged pairs are drawn again.
+    """Scans scenes and renders their missing pairs; damaged pairs are rendered again.
 
-    Processes can share a folder if their scenes differ.
+    Several processes can share a folder if their scenes differ.
 
     Raises:
-        GibsonSimError: a scene is unknown, nothing can be drawn here, a stage failed, another process works on one of the scenes, or
-            the folder holds scans of other settings.
+        GibsonSimError: a scene is unknown, there is no OpenGL device, a stage failed, another process works on one of the scenes, or
+            the folder holds scans with other settings.
     """
     for scene in scenes:
         if scene not in SCENES:
@@ -97,22 +97,22 @@ def make_all_pairs(
         for scene in scenes:
             progress(f"scanning {scene}")
             scan = make_scan(scene, folder / SCANS / scene, settings)
-            store_settings(folder / PAIRS, settings)  # those of the scan, which has accepted them
+            store_settings(folder / PAIRS, settings)  # the scan has accepted them
             make_pairs(folder / PAIRS, scene, scan, _count(scene, settings), settings.seed, progress)
 
 
 def missing_for_training(folder: Path) -> list[str]:
-    """Returns the names of the shards that ``train`` needs and that are missing."""
+    """Returns the names of the missing shards that ``train`` needs."""
     return missing_shards(folder / PAIRS, _shards(folder, (*TRAINING, *VALIDATION)))
 
 
 def train(folder: Path, settings: TrainingSettings, progress: Callable[[str], None] = lambda text: None) -> Trained:
-    """Trains with the pairs of a folder, or goes on there, and writes the network at each point of the curve.
+    """Trains with the pairs of a folder, or resumes there, and writes the network at each point of the curve.
 
     Raises:
         ConfigError: pairs are missing or damaged, or the folder holds another training.
     """
-    # Loaded here: pairs and evaluation do not need PyTorch.
+    # Imported here, since pairs and evaluation do not need PyTorch.
     from gibson_sim_learn.filler.export import export_network, write_card
     from gibson_sim_learn.filler.training import FillerTraining
 
@@ -148,18 +148,18 @@ def evaluate(
     sheet_file: Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Evaluated:
-    """Compares a network with what needs no training.
+    """Compares a network with methods without training.
 
     Args:
-        folder: with scans and pairs.
-        scenes: that judge.
-        model: file of the network, which names it in the result; None = that of the folder, ``learned``.
-        settings: on how much.
-        sheet_file: image of examples; None = none.
-        progress: called with one line now and then.
+        folder: folder with scans and pairs.
+        scenes: scenes of the comparison.
+        model: file of the network, by which the result names it; None = the network of the folder, named ``learned``.
+        settings: settings of the comparison.
+        sheet_file: file for a contact sheet of examples; None = none.
+        progress: called with one line of progress.
 
     Raises:
-        GibsonSimError: the model is none, pairs are missing, or nothing can be drawn here.
+        GibsonSimError: the model is not a filler network, pairs are missing, or there is no OpenGL device.
     """
     network = "learned" if model is None else str(model)
     methods = fill_methods(folder / TRAINED / MODEL if model is None else model, network)
@@ -189,7 +189,7 @@ def evaluate(
 
 
 def _shards(folder: Path, scenes: Sequence[str]) -> list[str]:
-    """Returns the names of all shards of some scenes, in the order of the scenes and of their numbers, by the stored settings."""
+    """Returns the names of all shards of some scenes, in order of scene and number, according to the stored settings."""
     settings = stored_settings(folder / PAIRS)
     return [shard_name(scene, number) for scene in scenes for number in range(_count(scene, settings))]
 

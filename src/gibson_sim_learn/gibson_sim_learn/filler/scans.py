@@ -1,7 +1,7 @@
-"""Simulated scans of scenes: scanned, fused and textured by the commands of ``gibson_sim_tools``, stage by stage.
+"""Simulated scans of scenes: the commands of ``gibson_sim_tools`` scan, fuse and texture them, stage by stage.
 
-The commands run in processes of their own, since this package does not import that one. A finished stage leaves its command line in a file
-``<stage>.done``: it is not run again, and a folder with stages of other settings is rejected.
+Each command runs in its own process, since this package does not import ``gibson_sim_tools``. A finished stage leaves its command line in a
+file ``<stage>.done`` and is not run again; a folder with stages of other settings is rejected.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ TEXTURED = "textured"
 _VOXEL = 0.02
 """Edge of a voxel, metres."""
 _SIZE = (320, 240)
-"""Of the scanner's images, pixels."""
+"""Width and height of the scanner's images, pixels."""
 _MAX_BYTES = 100_000
 
 
 def stages(scene: str, folder: Path, settings: PairsSettings) -> dict[str, tuple[list[str], Path]]:
-    """Returns name of a stage -> arguments of ``gibson-sim``, and what the stage writes; in their order.
+    """Returns, in order, name of a stage -> arguments of ``gibson-sim`` and the output of the stage.
 
     Args:
         scene: name of the scene.
-        folder: of its scan.
-        settings: of the scan.
+        folder: folder of its scan.
+        settings: settings of the scan.
     """
     scan, mesh, textured = folder / "scan", folder / "mesh.ply", folder / TEXTURED
     width, height = _SIZE
@@ -50,29 +50,29 @@ def stages(scene: str, folder: Path, settings: PairsSettings) -> dict[str, tuple
 
 
 def make_scan(scene: str, folder: Path, settings: PairsSettings, run: Callable[[Sequence[str]], None] | None = None) -> Path:
-    """Scans, fuses and textures a scene as far as that is not done; returns the folder of the scan's scene.
+    """Runs the missing stages of a scan; returns the folder of the scan's scene.
 
     Args:
         scene: name of the scene.
-        folder: of its scan.
-        settings: of the scan.
-        run: what runs ``gibson-sim`` with arguments; None = a process.
+        folder: folder of its scan.
+        settings: settings of the scan.
+        run: runs ``gibson-sim`` with arguments; None = in a new process.
 
     Raises:
-        ConfigError: the folder holds a scan of other settings.
+        ConfigError: the folder holds a scan with other settings.
         GibsonSimError: a stage failed.
     """
     run = _run if run is None else run
-    # As if run in the folder, which may be moved, or named in another way.
+    # Paths relative to the folder: it may be moved, or named in another way.
     lines = {stage: shlex.join(arguments) + "\n" for stage, (arguments, _) in stages(scene, Path(), settings).items()}
     for stage, (arguments, output) in stages(scene, folder, settings).items():
         done, line = folder / f"{stage}.done", lines[stage]
         if done.is_file():
             if read_file(done, _MAX_BYTES).decode("utf-8", "replace") != line:
                 raise ConfigError(f"{done}: that stage was run with other settings; give another --folder, or delete {folder}")
-            if stage != "texture" or output.is_dir():  # the scan and the mesh may be deleted once they are textured
+            if stage != "texture" or output.is_dir():  # scan and mesh may be deleted after texturing
                 continue
-        # A scan goes on where it was interrupted; the other stages write their output at the end, so what is there is a remainder.
+        # An interrupted scan resumes. The other stages write their output at the end, so any existing output is left over.
         if stage == "texture":
             shutil.rmtree(output, ignore_errors=True)
         elif stage == "fuse":
@@ -83,10 +83,10 @@ def make_scan(scene: str, folder: Path, settings: PairsSettings, run: Callable[[
 
 
 def _run(arguments: Sequence[str]) -> None:
-    """Runs ``gibson-sim``; its errors go to the terminal.
+    """Runs ``gibson-sim``; its errors are printed on the terminal.
 
     Raises:
-        GibsonSimError: it failed.
+        GibsonSimError: the command failed.
     """
     found = subprocess.run([sys.executable, "-m", "gibson_sim.cli.main", *arguments], stdout=subprocess.DEVNULL, check=False)
     if found.returncode:

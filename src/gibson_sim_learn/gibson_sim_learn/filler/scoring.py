@@ -1,7 +1,7 @@
-"""How near filled images are to the truth: PSNR and SSIM in holes and where the scan is seen, GMSD, flicker.
+"""Similarity of filled images to the ground truth: PSNR and SSIM in holes and outside, GMSD, and the warping for flicker.
 
-GMSD, the deviation of the similarity of gradients (Xue, Zhang, Mou and Bovik, IEEE TIP 2014), stands for what people see: it falls with
-blur and with edges that are not there. It needs no weights.
+GMSD, the gradient magnitude similarity deviation (Xue, Zhang, Mou and Bovik, IEEE TIP 2014), is a perceptual metric: it penalises blur and
+invented edges. It needs no trained weights.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 _SSIM_PX = 1.5
-"""Standard deviation of the window of SSIM, pixels (Wang et al., IEEE TIP 2004)."""
+"""Standard deviation of the Gaussian window of SSIM, pixels (Wang et al., IEEE TIP 2004)."""
 _C1, _C2 = (0.01 * 255.0) ** 2, (0.03 * 255.0) ** 2
 _GMSD_C = 170.0
-"""Constant of GMSD for levels to 255."""
+"""Constant of GMSD for levels from 0 to 255."""
 _LUMA = np.array([0.299, 0.587, 0.114])
 _MOST_PSNR = 60.0
 _NEARBY = 0.05
-"""Depths that differ by a smaller share are of one surface."""
+"""Relative depth difference up to which two pixels show the same surface."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How near images are to the truth."""
+    """Similarity of images to the ground truth."""
 
     hole_psnr: float
-    """dB, of the mean squared error of all pixels in holes, of all images together."""
+    """PSNR of the mean squared error over all pixels in holes of all images, dB."""
     seen_psnr: float
-    """dB, of all other pixels."""
+    """The same over all other pixels, dB."""
     hole_ssim: float
-    """Mean of the map of SSIM in holes."""
+    """Mean of the SSIM map in holes."""
     seen_ssim: float
     gmsd: float
     """Mean over the images; 0 = equal."""
@@ -51,15 +51,15 @@ class Score:
 
 
 class Scoring:
-    """Gathers images."""
+    """Accumulates the scores of images."""
 
     def __init__(self) -> None:
-        # Rows: in holes, where seen. Columns: pixels, squared error, SSIM.
+        # Rows: in holes, outside. Columns: number of pixels, sum of squared error, sum of SSIM.
         self._sums = np.zeros((2, 3))
         self._gmsd: list[float] = []
 
     def add(self, image: U8, truth: U8, hole: Bools) -> None:
-        """Adds an image (H, W, 3), its truth, and where it has holes."""
+        """Adds an image (H, W, 3) with its ground truth and its hole mask (H, W)."""
         error = ((image.astype(np.float64) - truth) ** 2).mean(axis=2)
         alike = ssim_map(image, truth)
         for row, region in zip(self._sums, (hole, ~hole), strict=True):
@@ -67,7 +67,7 @@ class Scoring:
         self._gmsd.append(gmsd(image, truth))
 
     def score(self) -> Score:
-        """Returns the score of all images so far, at least one; NaN for what they have no pixels of."""
+        """Returns the score of all images so far, at least one; NaN for metrics without any pixel."""
         (hole_psnr, hole_ssim), (seen_psnr, seen_ssim) = (
             (_psnr(error / pixels), alike / pixels) if pixels else (math.nan, math.nan)
             for pixels, error, alike in self._sums.tolist()
@@ -76,7 +76,7 @@ class Scoring:
 
 
 def ssim_map(a: U8, b: U8) -> F64:
-    """Returns the structural similarity of the luma of two images for each pixel, (H, W), -1 to 1."""
+    """Returns the structural similarity of the luma of two images at each pixel, (H, W), -1 to 1."""
     x, y = (image @ _LUMA for image in (a, b))
 
     def mean(values: F64) -> F64:
@@ -88,22 +88,22 @@ def ssim_map(a: U8, b: U8) -> F64:
 
 
 def gmsd(a: U8, b: U8) -> float:
-    """Returns the deviation of the similarity of gradients of two images, of even size; 0 = equal."""
+    """Returns the gradient magnitude similarity deviation of two images of even size; 0 = equal."""
     one, other = (_gradients(image) for image in (a, b))
     similar = (2.0 * one * other + _GMSD_C) / (one * one + other * other + _GMSD_C)
     return float(similar.std())
 
 
 def warped(image: U8, T_world_camera: F64, matrix: F64, depth: F32, other_T: F64, other_depth: F32) -> tuple[U8, Bools]:
-    """Returns another camera's image as seen by this camera, and where that is known: where both see the same surface.
+    """Returns another camera's image, warped to this camera, and a mask (H, W) of the pixels at which both see the same surface.
 
     Args:
-        image: (H, W, 3), of the other camera.
-        T_world_camera: (4, 4), optical frame of this camera.
-        matrix: K of both, (3, 3).
+        image: (H, W, 3), image of the other camera.
+        T_world_camera: (4, 4), pose of this camera's optical frame.
+        matrix: K of both cameras, (3, 3).
         depth: (H, W), true depth of this camera, metres.
-        other_T: as ``T_world_camera``, of the other camera.
-        other_depth: true depth of the other camera.
+        other_T: (4, 4), pose of the other camera's optical frame.
+        other_depth: (H, W), true depth of the other camera, metres.
     """
     height, width = depth.shape
     v, u = np.indices(depth.shape, dtype=np.float64)
@@ -122,7 +122,7 @@ def warped(image: U8, T_world_camera: F64, matrix: F64, depth: F32, other_T: F64
 
 
 def _gradients(image: U8) -> F64:
-    """Returns the magnitudes of the gradients of half the image's luma."""
+    """Returns the gradient magnitudes of the image's luma at half resolution."""
     luma = cv2.resize(image @ _LUMA, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
     across = np.repeat([[1.0, 0.0, -1.0]], 3, axis=0) / 3.0
     x, y = (cv2.filter2D(luma, cv2.CV_64F, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in (across, across.T))

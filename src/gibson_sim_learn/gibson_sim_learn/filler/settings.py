@@ -10,11 +10,11 @@ from gibson_sim.settings import check_settings, setting
 
 @dataclass(frozen=True, slots=True)
 class PairsSettings:
-    """How scenes are scanned, and how many views are drawn."""
+    """Settings of the scans and of the number of views."""
 
     seed: int = setting(0, "Random seed of scans and views", minimum=0, maximum=2**63 - 2)
     shards: int = setting(8, "Shards of 128 views for each training scene; other scenes have two", minimum=1, maximum=999)
-    frames: int = setting(200, "Largest number of images of a scan, at least 20", minimum=20, maximum=100_000)
+    frames: int = setting(200, "Maximum number of images of a scan, at least 20", minimum=20, maximum=100_000)
     triangles: int = setting(150_000, "Triangles of the mesh of a scan", minimum=1000, maximum=10_000_000)
 
     def __post_init__(self) -> None:
@@ -23,7 +23,7 @@ class PairsSettings:
 
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
-    """How long and how the network is trained."""
+    """Settings of the network's training."""
 
     seed: int = setting(0, "Random seed of the network and of the order of the examples", minimum=0, maximum=2**63 - 1)
     iterations: int = setting(60_000, "Optimiser steps", minimum=1, maximum=10_000_000)
@@ -49,7 +49,7 @@ class TrainingSettings:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationSettings:
-    """On how much fillers are compared."""
+    """Settings of the comparison of fillers."""
 
     seed: int = setting(0, "Random seed of drives and of the views of the contact sheet", minimum=0, maximum=2**63 - 1)
     every: int = setting(1, "Use every N-th view", minimum=1, maximum=128)
@@ -62,6 +62,6 @@ class EvaluationSettings:
 
 
 def options_of(settings: PairsSettings | TrainingSettings) -> str:
-    """Returns the options of the command line that give these settings, without those that are the default; each begins with a space."""
+    """Returns the command-line options for the settings that differ from their defaults; each begins with a space."""
     values = {field.name: (getattr(settings, field.name), field.default) for field in fields(settings)}
     return "".join(f" --{name.replace('_', '-')} {value}" for name, (value, default) in values.items() if value != default)

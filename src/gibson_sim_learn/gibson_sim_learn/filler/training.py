@@ -27,38 +27,38 @@ F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
 _MEAN = 0.998
-"""Share of the mean of the weights that a step leaves: what is exported is the mean, which is better than the last step."""
+"""Decay per step of the running mean of the weights. The mean is exported, since it scores better than the weights of the last step."""
 _EVERY = 4
-"""A point of the curve is made of every so many views."""
+"""Stride of the validation views for a point of the curve."""
 _HOLES = 1.0
-"""How much more pixels in holes count."""
+"""Additional weight of pixels in holes; 1 = twice the weight of others."""
 _EDGES, _SCALES = 0.5, (1, 2, 4)
-"""Weight of the differences of neighbours relative to that of the pixels; sizes of the images that they are taken in."""
+"""Weight of the gradient loss relative to that of the pixels; scales at which it is computed."""
 HOLE = slice(7, 8)
-"""Channel of the input that marks holes."""
+"""Input channel that marks holes."""
 _TURN, _ZOOM, _SHIFT_PX = 0.02, 0.04, 4.0
-"""Largest motion of the consistency loss: radians, share of the size, pixels."""
+"""Maximum rotation, radians, zoom, share of the size, and shift, pixels, of the consistency loss."""
 _MARGIN = 8
-"""Pixels along the border that the consistency loss omits: a moved image shows other pixels there."""
+"""Width of the border that the consistency loss omits, pixels: a moved image shows other content there."""
 _GAINS = (0.65, 1.15)
-"""Factors on each colour of a crop, for variety."""
+"""Smallest and largest gain of each colour channel of a crop (augmentation)."""
 _REORDERED = 0.3
-"""Probability that a crop has its red, green and blue exchanged, for variety."""
+"""Probability that the colour channels of a crop are permuted (augmentation)."""
 
 
 @dataclass(frozen=True, slots=True)
 class FillerPoint(CurvePoint):
-    """How near images are to the truth."""
+    """Similarity of filled images to the ground truth, on the validation scenes."""
 
     hole_psnr: float
-    """dB."""
+    """PSNR in holes, dB."""
     seen_psnr: float
-    """dB."""
+    """PSNR outside holes, dB."""
     gmsd: float
 
     @property
     def rank(self) -> float:
-        """By which the best point is chosen: the sum of both PSNRs, dB."""
+        """Criterion of the best point: the sum of both PSNRs, dB."""
         return self.hole_psnr + self.seen_psnr
 
 
@@ -74,15 +74,15 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
     MAY_CHANGE = ("iterations", "evaluate_every")
 
     def __init__(self, folder: Path, settings: TrainingSettings, data: str) -> None:
-        """Begins, or goes on from the checkpoint in the folder.
+        """Starts a training, or resumes from the checkpoint in the folder.
 
         Args:
-            folder: of the training.
-            settings: of the training.
+            folder: folder of the training.
+            settings: settings of the training.
             data: hash of the pairs.
 
         Raises:
-            ConfigError: the checkpoint in the folder is of other settings or pairs, has more iterations, or cannot be read.
+            ConfigError: the checkpoint in the folder has other settings, pairs or more iterations, or cannot be read.
         """
         self.settings, self.data = settings, data
         optimiser = OptimiserSettings(
@@ -95,14 +95,14 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
         )
         super().__init__(folder, asdict(settings), optimiser, FillerNetwork)
         self.mean = copy.deepcopy(self.network)
-        """The mean of the weights of the last steps."""
+        """Network with the running mean of the weights."""
         self.best = copy.deepcopy(self.network)
-        """The same at the best point of the curve: a long training learns its scenes by heart."""
+        """The same at the best point of the curve: a long training overfits to its scenes."""
         self._resume(FillerPoint, settings.iterations)
 
     @property
     def best_point(self) -> FillerPoint:
-        """The point of the curve, which has one at least, with the best images of the validation scenes."""
+        """Point of the curve with the highest ``rank``; the curve must have at least one point."""
         return max(self.curve, key=lambda point: point.rank)
 
     def run(
@@ -112,11 +112,11 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
         progress: Progress = lambda text: None,
         after_point: Callable[[], object] = lambda: None,
     ) -> None:
-        """Trains until the iteration of the settings, with a checkpoint and a point of the curve every so many.
+        """Trains for the iterations of the settings, with a checkpoint and a point of the curve every ``evaluate_every``.
 
         Args:
-            data: what it trains on.
-            validation: what the curve is measured on.
+            data: training pairs.
+            validation: pairs of the validation scenes, for the curve.
             progress: called with one line after each tenth iteration.
             after_point: called after each point of the curve.
         """
@@ -135,7 +135,7 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
         self._train(self.settings.iterations, loss, point, progress, after_point=after_point)
 
     def fill(self, values: F32) -> U8:
-        """Returns an image (H, W, 3) of an input (1, 9, H, W)."""
+        """Returns the filled image (H, W, 3), sRGB, for an input (1, 9, H, W)."""
         with torch.inference_mode(), torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._bfloat16):
             found = self.mean(torch.from_numpy(values).contiguous(memory_format=torch.channels_last))
         image = found.float()[0].permute(1, 2, 0).clamp(0.0, 1.0).mul(255.0).round()
@@ -164,7 +164,7 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
         return loss_of(images, torch.from_numpy(truth), inputs[:, HOLE]) + weight * difference
 
     def _filled(self, inputs: Tensor) -> Tensor:
-        """Returns images (B, 3, H, W) of inputs (B, 9, H, W)."""
+        """Returns images (B, 3, H, W) for inputs (B, 9, H, W)."""
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._bfloat16):
             images: Tensor = self.network(inputs.contiguous(memory_format=torch.channels_last))
         return images.float()
@@ -195,14 +195,14 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
 def batch_of(data: Sequence[Pairs], rng: np.random.Generator, count: int, side: int) -> tuple[F32, F32]:
     """Returns random crops of views: inputs (count, 9, side, side) and truth (count, 3, side, side), 0 to 1.
 
-    Half of them are mirrored, and their colours are changed, input and truth alike.
+    Half of them are mirrored, and their colours are augmented, in the same way in input and truth.
     """
     examples = [_example(data[int(rng.integers(len(data)))], rng, side) for _ in range(count)]
     return np.concatenate([values for values, _ in examples]), np.stack([truth for _, truth in examples])
 
 
 def _example(part: Pairs, rng: np.random.Generator, side: int) -> tuple[F32, F32]:
-    """Returns (1, 9, side, side) and (3, side, side)."""
+    """Returns the input (1, 9, side, side) and the truth (3, side, side) of a random crop."""
     view = int(rng.integers(len(part.hole)))
     top, left = (int(rng.integers(size - side + 1)) for size in part.hole.shape[1:])
     step = -1 if rng.random() < 0.5 else 1
@@ -210,7 +210,7 @@ def _example(part: Pairs, rng: np.random.Generator, side: int) -> tuple[F32, F32
     def cut(images: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(images[view, top : top + side, left : left + side][:, ::step])
 
-    # A mirrored image shows a mirrored world: its normals are mirrored, too.
+    # A mirrored image shows a mirrored world, so its normals are mirrored, too.
     normals = normals_of(cut(part.normals))
     normals[:, :, 0] *= step
     values = packed(cut(part.filled), depth_of(cut(part.depth_mm)), normals, cut(part.hole))
@@ -231,23 +231,23 @@ def motion_grid(rng: np.random.Generator, count: int, side: int) -> Tensor:
 
 
 def resampled(images: Tensor, grid: Tensor) -> Tensor:
-    """Returns images (B, C, H, W) at a sampling grid (B, H, W, 2), by bilinear interpolation."""
+    """Returns images (B, C, H, W), sampled bilinearly at a grid (B, H, W, 2)."""
     return functional.grid_sample(images, grid, mode="bilinear", padding_mode="border", align_corners=False)
 
 
 def moved_inputs(inputs: Tensor, grid: Tensor) -> Tensor:
-    """Returns inputs (B, 9, H, W) at a sampling grid; masks stay 0 or 1, and normals 0 in holes."""
+    """Returns inputs (B, 9, H, W), sampled at a grid; masks stay 0 or 1, and normals 0 in holes."""
     values = resampled(inputs, grid)
     masks = (values[:, 7:] >= 0.5).float()
     return torch.cat([values[:, :4], values[:, 4:7] * (1.0 - masks[:, :1]), masks], dim=1)
 
 
 def loss_of(found: Tensor, truth: Tensor, hole: Tensor) -> Tensor:
-    """Returns the mean error of images (B, 3, H, W), and of differences of neighbours in several sizes, which keep edges sharp.
+    """Returns the mean squared error of images (B, 3, H, W) plus that of their gradients at several scales, which keeps edges sharp.
 
     Args:
-        found: images.
-        truth: what they should be.
+        found: predicted images.
+        truth: ground truth.
         hole: (B, 1, H, W), 1 = in a hole.
     """
     error = found - truth
