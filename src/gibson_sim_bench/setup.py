@@ -7,7 +7,7 @@ NAME = "gibson_sim_bench"
 setup(
     name=NAME,
     version="0.1.0",
-    description="Measures how fast Gibson Sim draws, simulates and publishes",
+    description="Benchmarks of Gibson Sim: rendering, physics, tasks and ROS",
     license="Apache-2.0",
     author="Gibson Sim maintainers",
     maintainer="Gibson Sim maintainers",

@@ -15,7 +15,7 @@ class SettingError(PathFollowingError):
 
 
 class PathFolderError(PathFollowingError):
-    """A folder holds no path that can be read, or cannot be written."""
+    """A folder holds no readable path, or cannot be written."""
 
 
 class ViewError(PathFollowingError):

@@ -24,8 +24,8 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "view",
-        help="write one picture: views at eye height from free positions, from above, and the floor map",
-        description="Writes one picture of a scene: views at eye height from free positions, from above, and the floor map. For several "
+        help="write one image: views at eye height from free positions, from above, and the floor map",
+        description="Writes one image of a scene: views at eye height from free positions, from above, and the floor map. For several "
         "scenes: one row of views for each.",
     )
     parser.add_argument("scene", metavar="SCENE", nargs="+", help="name, folder or file of a scene")

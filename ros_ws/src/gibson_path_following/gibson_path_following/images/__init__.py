@@ -1,1 +1,1 @@
-"""Cameras, lenses and images: what comes from a camera, and what networks make of it."""
+"""Cameras, lenses and images: rectification, preprocessing, Goggles."""

@@ -11,7 +11,7 @@ _Image = TypeVar("_Image")
 
 @dataclass(frozen=True, slots=True)
 class ImageCounts:
-    """What became of the images that a node received."""
+    """Numbers of images that a node received, adapted, skipped and could not use."""
 
     received: int = 0
     adapted: int = 0

@@ -1,4 +1,4 @@
-"""Runs a node as a program: ``--help`` describes it, what cannot be used is one line and an exit code, Ctrl-C and SIGTERM end it in order."""
+"""Runs a node as a program: ``--help`` describes it, an error is one line and an exit code, and Ctrl-C and SIGTERM end it cleanly."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _RULES = {"-p": _PARAMETER, "--param": _PARAMETER, "-r": _TOPIC, "--remap": _TOP
 
 
 def run_node(kind: type[Any], options: type[Options], args: list[str] | None = None) -> None:
-    """Runs a node with ``exit_code`` (None = go on) and ``stop()``, until it ends itself or is told to; exits the program.
+    """Runs a node with ``exit_code`` (None = go on) and ``stop()``, until it ends itself or gets SIGINT or SIGTERM; exits the program.
 
     Args:
         kind: class of the node.

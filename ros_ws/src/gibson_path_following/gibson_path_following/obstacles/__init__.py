@@ -1,1 +1,1 @@
-"""What stands on the path: free space, ways around, speeds."""
+"""Obstacles on the path: occupancy grid, local plans around them, speed limits, recovery."""

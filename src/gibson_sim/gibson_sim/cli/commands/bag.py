@@ -30,20 +30,20 @@ def add_parser(subparsers: Any) -> None:
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     check = actions.add_parser(
-        "check", help="counts, rates, stamps, contacts and odometry of a bag; exit code 1 if stamps do not agree"
+        "check", help="print counts, rates, stamps, contacts and odometry of a bag; exit code 1 if stamps disagree"
     )
     check.set_defaults(run=_check)
     playing = actions.add_parser(
         "play",
-        help="publish the messages of a bag at their recorded times; options as of `ros2 bag play`, for machines without it",
+        help="publish the messages of a bag at their recorded times, with options of `ros2 bag play`, for machines without it",
     )
     playing.set_defaults(run=_play)
     plot = actions.add_parser("plot", help="draw path, velocities, contacts and rates of a bag; needs matplotlib")
     plot.set_defaults(run=_plot)
     repairing = actions.add_parser(
         "repair",
-        help="check all of a bag and make it readable after a crash, a full disk or changed bytes; keeps damaged files under another name; exit "
-        "code 1 if something is lost",
+        help="check every byte of a bag and make it readable after a crash, a full disk or bit errors; keeps damaged files under another name; exit "
+        "code 1 if messages are lost",
     )
     repairing.set_defaults(run=_repair)
     video = actions.add_parser("video", help="write a video and a contact sheet of RGB and depth")
@@ -64,7 +64,7 @@ def add_parser(subparsers: Any) -> None:
     plot.add_argument("--robot", default="", metavar="NAME", help="show only the robot with this namespace (default: all)")
     video.add_argument("file", type=Path, metavar="FILE.mp4")
     sheet.add_argument("file", type=Path, metavar="FILE.png")
-    sheet.add_argument("--columns", type=int, default=4, help="images in a row (default: 4)")
+    sheet.add_argument("--columns", type=int, default=4, help="images per row (default: 4)")
     sheet.add_argument("--rows", type=int, default=4, help="rows of images (default: 4)")
     film.add_argument("files", type=Path, nargs="+", metavar="FILE", help="film strip (.png, .jpg) or video (.mp4); one or more")
     film.add_argument(

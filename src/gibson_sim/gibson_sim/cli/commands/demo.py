@@ -41,8 +41,8 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "demo",
-        help="a robot opens a door: a film strip and a video of it",
-        description="Starts a simulation of its own in lockstep, in which a scripted robot drives by published commands, and measures it.",
+        help="let a robot open a door; write a film strip and a video of it",
+        description="Starts its own simulation in lockstep, in which a scripted robot drives by published commands, and measures it.",
     )
     parser.add_argument("demo", metavar="NAME", help="; ".join(f"{name}: the robot {about}" for name, about in DEMOS.items()))
     parser.add_argument(

@@ -45,9 +45,7 @@ class Finding:
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
-    parser = subparsers.add_parser(
-        "doctor", help="check Python, ROS, graphics, DDS and disk, and say how to fix what does not work"
-    )
+    parser = subparsers.add_parser("doctor", help="check Python, ROS, graphics, DDS and disk, and suggest fixes")
     parser.add_argument("--json", action="store_true", help="print JSON")
     add_domain(parser)
     parser.set_defaults(run=run)

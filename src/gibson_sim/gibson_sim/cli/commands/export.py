@@ -13,7 +13,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "export",
         help="write the images and poses of a bag as a data set: TUM RGB-D, nerfstudio, LeRobot, or plain files with tables",
-        description="Works on bags of the simulation and of real robots; reports at the end what the bag lacks. See docs/datasets.md.",
+        description="Reads bags of the simulation and of real robots; reports at the end what the bag lacks. See docs/datasets.md.",
     )
     parser.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
     parser.add_argument("output", type=Path, metavar="OUTDIR", help="folder of the data set; it must not exist, or be empty")

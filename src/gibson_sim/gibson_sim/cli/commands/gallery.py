@@ -18,7 +18,7 @@ from gibson_sim.scenes.spec import drawn_scene
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
-    parser = subparsers.add_parser("gallery", help="write one picture of all outputs, cameras, effects and lights of a scene")
+    parser = subparsers.add_parser("gallery", help="write one image of all outputs, cameras, effects and lights of a scene")
     parser.add_argument(
         "scene", nargs="?", default=DEFAULT_SCENE, help=f"name, folder or file of a scene (default: {DEFAULT_SCENE})"
     )

@@ -18,11 +18,13 @@ _HIDDEN = "a part of their name begins with _, as in those of actions"
 
 def add_parser(subparsers: Any) -> None:
     """Adds all sub-commands of this module."""
-    _add_topic(subparsers.add_parser("topic", help="list, type, info, echo, hz, bw, delay of topics, a subset of ros2's"))
-    _add_node(subparsers.add_parser("node", help="list, info of nodes, a subset of ros2's"))
-    _add_service(subparsers.add_parser("service", help="list, type, call of services, a subset of ros2's"))
-    _add_param(subparsers.add_parser("param", help="list, get, set of parameters, a subset of ros2's"))
-    _add_action(subparsers.add_parser("action", help="list, send_goal of actions, a subset of ros2's"))
+    _add_topic(
+        subparsers.add_parser("topic", help="list, type, info, echo, hz, bw and delay of topics, a subset of `ros2 topic`")
+    )
+    _add_node(subparsers.add_parser("node", help="list and info of nodes, a subset of `ros2 node`"))
+    _add_service(subparsers.add_parser("service", help="list, type and call of services, a subset of `ros2 service`"))
+    _add_param(subparsers.add_parser("param", help="list, get and set of parameters, a subset of `ros2 param`"))
+    _add_action(subparsers.add_parser("action", help="list and send_goal of actions, a subset of `ros2 action`"))
     _add_verbs(subparsers)
 
 

@@ -10,7 +10,7 @@ from gibson_sim.cli.registry import scene_command_modules
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
-    parser = subparsers.add_parser("scene", help="make, import, check, map and draw scenes")
+    parser = subparsers.add_parser("scene", help="make, import, check, map and render scenes")
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     for module in dict.fromkeys(scene_command_modules().values()):
         import_module(module).add_parser(kinds)
