@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pytest
-
 from gibson_sim.cli.commands.params import markdown
 
-SHORT_CELLS = ("index", "features", "first_session", "commands")
-"""Pages of ``docs/`` without long cells in tables: a longer text is a section or a list."""
+SHORT_CELLS = ("README.md", "ARCHITECTURE.md", "features.md", "first_session.md", "index.md", "commands.md")
+"""Pages whose tables have cells of at most 200 characters; elsewhere the limit is 300. A longer text is a section or a list."""
+LONG_CELLS = ("web.md",)
+"""Pages that are not checked."""
 
 
 def test_parameter_tables_are_those_of_the_program(root: Path) -> None:
@@ -37,10 +37,14 @@ def test_a_bullet_of_three_lines_is_found() -> None:
     assert _long_bullets("- one\n  two\n\ntext\n\n1. one\n   two\n   three\n- next\n") == ["1. one"]
 
 
-@pytest.mark.parametrize("page", ["README.md", "ARCHITECTURE.md", *(f"docs/{name}.md" for name in SHORT_CELLS)])
-def test_table_cells_are_short(root: Path, page: str) -> None:
-    cells = _cells((root / page).read_text())
-    assert [f"{len(cell)} characters: {cell[:60]}" for cell in cells if len(cell) > 200] == []
+def test_table_cells_are_short(root: Path) -> None:
+    long = []
+    for page in (*root.glob("*.md"), *(root / "docs").glob("*.md")):
+        if page.name in LONG_CELLS:
+            continue
+        limit = 200 if page.name in SHORT_CELLS else 300
+        long += [f"{page.name}: {len(cell)} characters: {cell[:60]}" for cell in _cells(page.read_text()) if len(cell) > limit]
+    assert long == []
 
 
 def test_an_escaped_bar_does_not_end_a_cell() -> None:
