@@ -25,7 +25,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_configure() -> None:
-    """Takes the time limits from tests of random values: a busy machine is no fault of theirs."""
+    """Removes the time limits of property-based tests: a busy machine is not a fault of the code."""
     try:
         from hypothesis import HealthCheck, settings
     except ImportError:

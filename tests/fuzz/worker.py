@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 _MOST_BYTES = 24 * 2**30
-"""Of address space: what asks for more is refused by the kernel, and seen."""
+"""Limit of the address space, bytes: the kernel refuses larger allocations, which are then reported."""
 
 
 def main() -> None:
@@ -124,7 +124,7 @@ def try_mutant(target: Any, files: Path) -> Any:
             target.run(files, trial)
         except Refused:
             pass
-        # MemoryError, too: what asks for so much memory could have had it elsewhere.
+        # Also MemoryError: on another machine the allocation might have succeeded.
         except Exception as error:
             outcome.trace = traceback.format_exc()
             trial.fault(f"foreign exception: {_where(error)}: {type(error).__name__}: {str(error)[:200]}")

@@ -68,7 +68,7 @@ def test_static_body_stays_and_others_rest_on_it() -> None:
         assert (world.is_static("below"), world.is_static("above")) == (True, False)
 
 
-def test_body_whose_mass_is_off_its_frame_is_put_where_asked_and_moves_as_asked() -> None:
+def test_body_with_offset_centre_of_mass_is_placed_and_moves_as_requested() -> None:
     offset = pose_from_xyz_rpy((0.3, -0.1, 0.2), (0.4, 0.0, 1.0))
     with PhysicsWorld(SCENE) as world:
         world.add(cube("a", at(0.0, 0.0, 5.0), offset=offset))

@@ -58,7 +58,7 @@ def joints(world: PhysicsWorld) -> dict[str, float]:
     return dict(zip(states.names, states.positions.tolist(), strict=True))
 
 
-def test_joints_that_nobody_commands_hold_their_start(scene: SceneSpec) -> None:
+def test_joints_without_commands_hold_their_start(scene: SceneSpec) -> None:
     with PhysicsWorld(scene) as world:
         world.step(5 * world.step_hz)
         assert joints(world) == pytest.approx({"shoulder": 0.0, "slide": 0.0, "twist": 0.0, "caster_joint": 0.0}, abs=1e-3)
@@ -146,7 +146,7 @@ def test_empty_trajectory_stops_the_arm_where_it_is(scene: SceneSpec) -> None:
         assert joints(world)["shoulder"] == pytest.approx(-0.5, abs=0.02)
 
 
-def test_joint_without_a_motor_obeys_nobody(scene: SceneSpec) -> None:
+def test_joint_without_a_motor_ignores_commands(scene: SceneSpec) -> None:
     with PhysicsWorld(scene) as world, pytest.raises(CommandError, match="known: shoulder, slide, twist"):
         world.command_joints("robot", JointPositions((0.0,), ("caster_joint",)))
 
@@ -240,7 +240,7 @@ def test_reset_and_a_new_time_end_what_joints_of_a_body_were_told(make_scene: Ma
         assert world.joint_states("door").positions[0] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_command_for_joints_of_nobody_is_refused(make_scene: MakeScene) -> None:
+def test_command_for_joints_of_an_unknown_robot_is_refused(make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene()) as world:
         world.add(door())
         with pytest.raises(CommandError, match="no joint 'lock' that accepts commands; known: hinge"):

@@ -52,7 +52,7 @@ def angles(world: PhysicsWorld) -> dict[str, float]:
     return dict(zip(world.joint_states("robot").names, world.joint_states("robot").positions.tolist(), strict=True))
 
 
-def test_tool_moves_at_the_velocity_and_stops_when_nobody_says_any_more(world: PhysicsWorld) -> None:
+def test_tool_moves_at_the_velocity_and_stops_when_commands_end(world: PhysicsWorld) -> None:
     before = np.array(world.arms.tool_pose("robot").position)
     servo(world, 1.0, ToolTwist((0.0, 0.12, 0.06), STILL))
     moved = np.array(world.arms.tool_pose("robot").position) - before

@@ -130,7 +130,7 @@ def test_without_a_cache_nothing_is_written(drawn: DrawnScene, tmp_path: Path, m
     assert sorted(file for file in tmp_path.rglob("*") if ".cache/mesa" not in str(file)) == before
 
 
-def test_a_loader_of_ones_own_is_always_asked(tmp_path: Path, drawn: DrawnScene) -> None:
+def test_a_custom_loader_is_always_called(tmp_path: Path, drawn: DrawnScene) -> None:
     loader = loader_of(Mesh((bumpy_sphere(26),)))
     with Renderer(drawn, loader=loader, cache=tmp_path / "cache"):
         pass

@@ -1,4 +1,4 @@
-"""Holes of pictures are filled where a camera asks for it, and nothing else of the pictures changes."""
+"""Holes in images are filled if the camera requests it, and nothing else in the images changes."""
 
 from __future__ import annotations
 

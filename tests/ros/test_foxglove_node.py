@@ -210,7 +210,7 @@ def test_what_is_no_message_reaches_no_node_and_ends_nothing(server: Launched, l
     assert not any("Traceback" in line for line in server.lines)
 
 
-def test_services_are_called_and_failures_are_told(server: Launched) -> None:
+def test_services_are_called_and_failures_are_reported(server: Launched) -> None:
     async def talk(client: FoxgloveClient) -> None:
         request = SpawnEntity.Request(name="fox", allow_renaming=True)
         uri = "bottle_water"

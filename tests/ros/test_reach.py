@@ -108,7 +108,7 @@ def test_machine_without_a_loopback_interface_is_told_so(hosts: Hosts) -> None:
     assert "127.0.0.1 cannot be reached (Network is unreachable), which the nodes need for discovery" in done.stderr
 
 
-def test_client_of_ours_that_finds_nothing_on_this_machine_says_how_to_look_on_others(hosts: Hosts) -> None:
+def test_our_client_that_finds_nothing_on_this_machine_says_how_to_search_on_others(hosts: Hosts) -> None:
     simulation = _Simulation(hosts, "--reach", "subnet")
     try:
         drive = ["-m", "gibson_sim.cli.main", "drive", "forward", "--length", "0.2", "--timeout"]

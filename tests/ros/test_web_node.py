@@ -239,7 +239,7 @@ def test_the_robot_that_the_page_chooses_is_driven(web: Launched, listener: List
         node.destroy_publisher(publisher)
 
 
-def test_a_service_that_never_answers_is_told(web: Launched, other_listener: Listener) -> None:
+def test_a_service_that_never_answers_is_reported(web: Launched, other_listener: Listener) -> None:
     node = other_listener.node  # it is not spun, so that it never answers
     kept = node.create_service(StepSimulation, "step_simulation", lambda _, response: response)
 

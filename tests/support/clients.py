@@ -18,7 +18,7 @@ from gibson_sim.cli.environment import node_environment
 from support.simulation import PATIENCE_S, Launched, Listener
 
 STEP_HZ = 240
-"""Physics steps a second, unless a test asks for others."""
+"""Physics steps per second, unless a test sets another rate."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 DEEP = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 """For what a test wants to hear whole, also on a machine that stalls."""

@@ -1,6 +1,6 @@
-"""A tiny stack, as a user might write it: drives to the goal by odometry that is true, and tells when it is there.
+"""A tiny stack, as a user might write it: drives to the goal by exact odometry, and reports its arrival.
 
-One command for each odometry, so that it repeats in lockstep. ``python drive.py [crash|nan|hang|daemon|service|lifecycle]`` does as the word says.
+It sends one command per odometry message, so that runs repeat in lockstep. ``python drive.py [crash|nan|hang|daemon|service|lifecycle]`` does as the word says.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A stack that never asks for a goal; it ignores SIGINT and SIGTERM, too."""
+"""A stack that never becomes ready for a goal, and ignores SIGINT and SIGTERM."""
 
 import signal
 import time

@@ -204,7 +204,7 @@ def test_camera_info_without_its_images_misses_nothing(messages: Any, tmp_path: 
     assert "nor for camera_info without its images" in report.text()
 
 
-def test_the_last_line_tells_what_failed(write_drive: Callable[..., Path]) -> None:
+def test_the_last_line_names_the_failure(write_drive: Callable[..., Path]) -> None:
     last = check_bag(write_drive(image_shift_ns=1)).findings()[-1]
     assert last.startswith("FAILED: stamps do not agree: /camera/") and last.endswith("(and 1 more problem above)")
 

@@ -37,7 +37,7 @@ from support.completion import completions
         ("gibson-sim top --no-such-option x", set()),
     ],
 )
-def test_names_of_ours_are_completed(line: str, found: set[str], tmp_path: Path) -> None:
+def test_built_in_names_are_completed(line: str, found: set[str], tmp_path: Path) -> None:
     assert completions(line, tmp_path) == (found, "")
 
 

@@ -63,7 +63,7 @@ def test_ready_lines_of_an_arm_without_a_drive_tell_no_way_to_drive(tmp_path: Pa
     assert [line.partition(":")[0] for line in lines] == ["ready", "cameras", "look", "stop"]
 
 
-def test_line_tells_what_loads_until_all_is_ready(folder: Path) -> None:
+def test_line_names_what_loads_until_all_nodes_are_ready(folder: Path) -> None:
     status = JobStatus(folder, ["physics", "render"])
     assert status.line() == ""
     _note(folder, STATUS.format("render"), {"loading": "textures: 40 %"})
@@ -90,7 +90,7 @@ def test_line_tells_what_loads_until_all_is_ready(folder: Path) -> None:
         ),
     ],
 )
-def test_line_tells_how_the_simulation_goes(folder: Path, physics: Any, render: Any, expected: str) -> None:
+def test_line_reports_the_state_of_the_simulation(folder: Path, physics: Any, render: Any, expected: str) -> None:
     _note(folder, READY, "")
     _note(folder, STATUS.format("physics"), PLAYING | physics)
     _note(folder, STATUS.format("render"), render)

@@ -48,7 +48,7 @@ def test_parameter_table_has_a_row_for_every_setting() -> None:
     assert "| `step_hz` | int | `240` | 60 to 10000 Hz | Physics steps per second of simulation time |" in text
 
 
-def test_help_tells_what_each_value_is() -> None:
+def test_help_describes_each_value() -> None:
     parser = argparse.ArgumentParser()
     add_settings(parser, PhysicsConfig, ("scene", "start", "step_hz", "duration", "map", "seed", "rate", "publish_map_tf"))
     text = " ".join(parser.format_help().split())

@@ -1,4 +1,4 @@
-"""Ports that a user asks for."""
+"""Ports that a user requests."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ def _refusal(command: str, *words: str) -> str:
     return str(error.value)
 
 
-def test_the_address_of_a_page_of_ours_is_told(page: int) -> None:
+def test_the_address_of_our_page_is_printed(page: int) -> None:
     with pytest.raises(ConfigError) as error:
         check_port("--port", "127.0.0.1", page)
     expected = f"--port {page} is taken on 127.0.0.1; open http://127.0.0.1:{page}/, where a page is served already, or choose another port"
     assert str(error.value) == expected
 
 
-def test_another_program_at_the_port_is_no_page_of_ours(taken: int) -> None:
+def test_another_program_at_the_port_is_not_taken_for_our_page(taken: int) -> None:
     with pytest.raises(ConfigError) as error:
         check_port("--port", "127.0.0.1", taken)
     assert str(error.value) == f"--port {taken} is taken on 127.0.0.1; choose another port"

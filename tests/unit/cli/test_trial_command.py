@@ -202,7 +202,7 @@ def test_all_mistakes_of_a_scenario_file_are_printed(tmp_path: Path, capsys: pyt
     ]
 
 
-def test_planning_that_takes_long_tells_how_far_it_is() -> None:
+def test_long_planning_reports_its_progress() -> None:
     now, shown = [0.0], io.StringIO()
     progress = PlanProgress(console=Console(shown), clock=lambda: now[0])
     for at, done in ((0.0, 0), (1.9, 99), (4.0, 200), (13.9, 600), (14.0, 700), (20.0, 1000)):
@@ -213,7 +213,7 @@ def test_planning_that_takes_long_tells_how_far_it_is() -> None:
     assert shown.getvalue() == "planning: 200 of 1000 runs, 16 s left\nplanning: 700 of 1000 runs, 6 s left\n"
 
 
-def test_the_bar_tells_what_is_done_and_what_runs() -> None:
+def test_the_bar_reports_finished_and_current_runs() -> None:
     now = [0.0]
     progress = TrialProgress(10, 2, console=Console(io.StringIO()), clock=lambda: now[0])
     assert progress.line() == "[####----------------] 2/10"

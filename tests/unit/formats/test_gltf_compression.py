@@ -128,7 +128,7 @@ def refused(path: Path) -> bool:
     return bool(said)
 
 
-def test_broken_draco_is_refused_and_harms_nobody(tmp_path: Path) -> None:
+def test_broken_draco_is_refused_and_harms_no_process(tmp_path: Path) -> None:
     good, rng = draco(), np.random.default_rng(3)
     half = Gltf()
     half.document, half.chunk = json.loads(json.dumps(good.document)), good.chunk[: len(good.chunk) // 2]

@@ -55,7 +55,7 @@ def test_motion_without_shutter_or_readout_changes_nothing() -> None:
     assert len(_turning(camera())) == 1
 
 
-def test_shutter_does_not_matter_where_no_colours_are_asked_for() -> None:
+def test_shutter_does_not_matter_without_colours() -> None:
     assert len(_turning(replace(camera(shutter_s=0.02), outputs=("depth",)))) == 1
     assert len(_turning(replace(camera(shutter_s=0.02, readout_s=0.02), outputs=("depth",)))) == MAX_BANDS
 

@@ -58,7 +58,7 @@ def test_unpacked_files_are_those_that_were_packed(scene: Path, tmp_path: Path) 
     assert packed(tmp_path / "copy") == packed(scene)
 
 
-def test_a_cache_fetches_what_it_lacks_and_gives_a_tree_that_nobody_writes(scene: Path, tmp_path: Path) -> None:
+def test_a_cache_fetches_missing_files_and_returns_a_read_only_tree(scene: Path, tmp_path: Path) -> None:
     entries, contents = packed(scene)
     fetched: list[list[str]] = []
 

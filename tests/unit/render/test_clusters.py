@@ -74,7 +74,7 @@ def test_every_triangle_given_is_at_the_finest_level_once() -> None:
     np.testing.assert_array_equal(np.unique(finest, axis=0), np.unique(part.triangles, axis=0))
 
 
-def test_no_cluster_is_empty_or_larger_than_asked_for() -> None:
+def test_no_cluster_is_empty_or_larger_than_requested() -> None:
     _, built = _sphere()
     sizes = built.ends - built.starts
     assert sizes.min() > 0

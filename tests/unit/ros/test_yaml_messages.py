@@ -46,7 +46,7 @@ def test_special_numbers_are_those_of_yaml() -> None:
     assert "ranges:\n- .inf\n- -.inf\n- .nan\n" in yaml_text(scan)
 
 
-def test_long_arrays_are_cut_unless_all_is_asked_for() -> None:
+def test_long_arrays_are_cut_unless_all_values_are_requested() -> None:
     scan = LaserScan(ranges=[1.0] * (SHORT + 5))
     assert yaml_text(scan).count("- 1.0\n") == SHORT and "- '...'\n" in yaml_text(scan)
     assert yaml_text(scan, whole=True).count("- 1.0\n") == SHORT + 5

@@ -180,7 +180,7 @@ def test_concave_object_becomes_convex_parts_that_fill_it(tmp_path: Path) -> Non
     assert sum(volumes) == pytest.approx(3.0, rel=0.1)
 
 
-def test_without_the_library_another_maker_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_another_maker_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "coacd", None)
     files = convex_parts(L_SHAPE, L_FACES, "corner", folder=tmp_path, otherwise=lambda v, t: [(v, t), (v, t)])
     assert [file.name for file in files] == ["part_0.obj", "part_1.obj"]

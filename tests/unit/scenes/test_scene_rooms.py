@@ -37,7 +37,7 @@ def test_places_on_the_wall_between_two_rooms_lie_in_just_one() -> None:
     assert (left.contains(wall) ^ right.contains(wall)).all()
 
 
-def test_a_scene_tells_which_room_a_place_lies_in(tmp_path: Path) -> None:
+def test_a_scene_returns_the_room_at_a_place(tmp_path: Path) -> None:
     upper = "{name: bedroom, class: bedroom, floor: 1, polygon: [[0, 0], [2, 0], [2, 2]]}"
     scene = _load(tmp_path, f"{KITCHEN}, {upper}", "floors: [0.0, 2.8]\n")
     assert [(room.name, room.room_class, room.floor) for room in scene.rooms] == [

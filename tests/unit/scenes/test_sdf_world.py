@@ -182,7 +182,7 @@ def test_the_sun_and_the_background_are_read(tmp_path: Path) -> None:
     assert (light.points, light.ambient) == ((), 0.5)
 
 
-def test_lamps_are_read_where_they_are_asked_for(tmp_path: Path) -> None:
+def test_lamps_are_read_on_request(tmp_path: Path) -> None:
     light = _load(tmp_path, f'{LAMP}<model name="m">{_box_link()}</model>', sdf_lamps=True).light
     (lamp,) = light.points
     assert light.sun == 0.0

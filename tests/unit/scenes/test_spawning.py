@@ -145,14 +145,14 @@ def test_thing_of_too_many_triangles_is_refused_with_what_to_do(tmp_path: Path, 
     assert "has 2 triangles in its visuals, at most 1" in _error(moves).public
 
 
-def test_robot_of_ours_comes_by_name_with_cameras_and_drive() -> None:
+def test_built_in_robot_is_spawned_by_name_with_cameras_and_drive() -> None:
     robot = _load("gibson_bot")
     assert isinstance(robot, RobotSpec)
     assert (robot.name, robot.start) == ("thing", AT)
     assert robot.drive is not None
 
 
-def test_object_of_ours_comes_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_built_in_object_is_spawned_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _write(tmp_path / "objects" / "lamp" / "model.sdf", _sdf())
     monkeypatch.setenv("GIBSON_SIM_PATH", str(tmp_path))
     assert _body("lamp", roots=(tmp_path / "elsewhere",)).model.name == "lamp"
@@ -549,7 +549,7 @@ def test_bounds_of_our_robot_hold_its_footprint_and_height() -> None:
     assert bot.bounds == ((-robot.radius, -robot.radius, 0.0), (robot.radius, robot.radius, robot.height))
 
 
-def test_what_is_ours_is_sorted_and_comes_first(tmp_path: Path) -> None:
+def test_built_in_models_are_sorted_and_come_first(tmp_path: Path) -> None:
     _write(tmp_path / "a.urdf", _urdf())
     uris = [s.uri for s in find_spawnables([str(tmp_path)])]
     assert uris[:-1] == sorted(uris[:-1])

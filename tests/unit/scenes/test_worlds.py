@@ -42,7 +42,7 @@ def test_world_is_loaded_by_path_and_by_uri(tmp_path: Path, as_uri: bool) -> Non
     assert load_world(path.as_uri() if as_uri else str(path), "").ground_z == 0.0
 
 
-def test_scene_of_ours_is_loaded_by_name() -> None:
+def test_installed_scene_is_loaded_by_name() -> None:
     assert load_world("flat", "").name == "flat"
 
 
@@ -153,7 +153,7 @@ def test_every_missing_asset_is_named(tmp_path: Path) -> None:
         assert name in str(error)
 
 
-def test_missing_assets_are_left_out_where_that_is_asked_for(tmp_path: Path) -> None:
+def test_missing_assets_are_left_out_on_request(tmp_path: Path) -> None:
     scene = load_world(_house(tmp_path), "", ignore_missing=True)
     assert [v.name for v in scene.visuals] == ["pane"]
     assert sum("left out" in w or "missing" in w for w in scene.warnings) == 3
@@ -173,7 +173,7 @@ UNSUPPORTED = (
 )
 
 
-def test_elements_that_are_not_simulated_are_named_where_that_is_asked_for() -> None:
+def test_elements_that_are_not_simulated_are_named_on_request() -> None:
     error = _error(text=_sdf(GROUND + UNSUPPORTED), fail_on_unsupported=True)
     assert error.code is CODES.UNSUPPORTED_ELEMENTS
     assert "walker" in str(error)

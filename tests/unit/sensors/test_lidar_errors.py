@@ -24,7 +24,7 @@ def box_room(origins: np.ndarray, directions: np.ndarray, range_max: float, igno
     return np.where(distances > range_max, np.inf, distances)
 
 
-def test_noise_has_the_standard_deviation_that_was_asked_for() -> None:
+def test_noise_has_the_requested_standard_deviation() -> None:
     spec = LidarSpec("r/lidar", range_noise=0.015)
     errors = ranges_from_distances(np.full(40_000, 5.0), spec, NOISE, 1).astype(np.float64) - 5.0
     assert errors.std() == pytest.approx(0.015, rel=0.02)

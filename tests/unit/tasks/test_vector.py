@@ -40,7 +40,7 @@ def test_each_environment_of_a_vector_begins_the_episode_of_its_own_seed(pair: A
     np.testing.assert_array_equal(observations[1], expected)
 
 
-def test_the_last_step_of_an_episode_tells_what_it_saw_and_begins_the_next_one(pair: AsyncVectorEnv) -> None:
+def test_the_last_step_of_an_episode_reports_its_observation_and_begins_the_next_one(pair: AsyncVectorEnv) -> None:
     first, _ = pair.reset(seed=[1, 2])
     for _ in range(STEPS - 1):
         *_, truncated, infos = pair.step(STILL)

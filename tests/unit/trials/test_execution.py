@@ -111,7 +111,7 @@ def test_two_rules_on_one_topic_need_names() -> None:
         participants_of(replace(STACK, lockstep=("cmd_vel every 0.05", "cmd_vel after scan")), ("trial",))
 
 
-def test_environment_of_a_stack_is_ours_with_domain_reach_and_marker() -> None:
+def test_environment_of_a_stack_is_inherited_with_domain_reach_and_marker() -> None:
     base = {"HOME": "/h", "ROS_LOCALHOST_ONLY": "1", "ROS_DOMAIN_ID": "9"}
     found = stack_environment(replace(STACK, environment={"SPEED": "2", "HOME": "/other"}), 42, "mark", base)
     assert found["ROS_DOMAIN_ID"] == "42"
@@ -141,13 +141,13 @@ def test_short_output_is_kept_whole(tmp_path: Path) -> None:
     assert log.last_line == "ready"
 
 
-def test_end_of_a_stack_tells_how_and_its_last_line() -> None:
+def test_end_of_a_stack_has_its_cause_and_last_line() -> None:
     assert stack_died(-11, "loading").detail == "the stack was killed by SIGSEGV; its last line: loading"
     assert stack_died(3, "").detail == "the stack ended with code 3; it printed nothing"
     assert exit_text(-99) == "was killed by signal 99"
 
 
-def test_end_of_a_node_tells_its_last_error() -> None:
+def test_end_of_a_node_has_its_last_error() -> None:
     output = "INFO scene flat\nERROR first\nerror: no such scene\nINFO bye\n"
     assert last_error(output) == "no such scene"
     assert node_died("physics", 1, output).detail == "the physics node ended with code 1: no such scene"

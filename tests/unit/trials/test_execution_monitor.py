@@ -56,7 +56,7 @@ def test_wrong_heading_is_not_the_goal_if_the_heading_counts() -> None:
     assert pass_time(monitor, 5.1, 9.0, (2.0, 1.0, math.radians(-9.0)), 0.0)[0] is not None
 
 
-def test_stack_that_tells_its_state_decides_and_not_the_pose() -> None:
+def test_reported_state_of_the_stack_decides_and_not_the_pose() -> None:
     monitor = monitor_of(TELLS)
     monitor.give_goal(0)
     assert pass_time(monitor, 0.0, 5.0, AT_GOAL, 0.0)[0] is None

@@ -91,7 +91,7 @@ def test_a_pose_may_have_the_name_that_the_simulation_gives_it() -> None:
     assert 0.0 < run.start[0] < 4.2
 
 
-def test_drawn_places_are_free_and_as_far_apart_as_asked() -> None:
+def test_sampled_places_are_free_and_as_far_apart_as_requested() -> None:
     runs = plan_runs(scenario(runs=12, sampling=Sampling((2.0, 4.0), 0.4)))
     floor = furnished_floor_map(load_scene("arena"), load_robot("gibson_bot"))
     ends = np.array([pose[:2] for run in runs for pose in (run.start, run.goal)])

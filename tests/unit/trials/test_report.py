@@ -19,7 +19,7 @@ from gibson_sim.trials.report.words import plan_table, replay_command, rerun_com
 from support.trial_results import failed, passed, spec, trial
 
 
-def test_rate_is_told_with_the_wilson_interval() -> None:
+def test_rate_is_reported_with_the_wilson_interval() -> None:
     # 8 of 10 with z = 1.96: middle (0.8 + 0.19207) / 1.38415 = 0.71674, spread 0.22659.
     low, high = Rate(8, 10).interval
     assert (low, high) == pytest.approx((0.4902, 0.9433), abs=1e-4)

@@ -133,7 +133,7 @@ def test_page_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
     assert "default-src &#x27;none&#x27;" in text
 
 
-def test_page_tells_of_the_comparison(tmp_path: Path) -> None:
+def test_page_shows_the_comparison(tmp_path: Path) -> None:
     before, after = [passed(n) for n in range(9)], [failed(n) if n < 7 else passed(n) for n in range(9)]
     found = {**compare(before, after).to_json(), "file": "before.json"}
     _, page = page_of(trial(after, comparison=found), tmp_path)
@@ -156,7 +156,7 @@ def test_map_of_a_house_names_the_floor(tmp_path: Path) -> None:
     assert room is not None and room.floor == ""
 
 
-def test_map_tells_failed_paths_by_more_than_colour() -> None:
+def test_map_distinguishes_failed_paths_by_more_than_colour() -> None:
     floor = SceneMap(np.zeros((2, 4, 4), dtype=np.uint8), (0.0, 4.0, 0.0, 2.0))
     good, bad = passed(1, start=(1.0, 1.0, 0.0)), failed(2, start=(2.0, 1.0, 0.0))
     svg = map_svg(floor, [(bad, ((2.0, 1.0), (3.0, 1.5))), (good, ((1.0, 1.0), (1.0, 2.0)))])

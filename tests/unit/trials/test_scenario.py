@@ -134,7 +134,7 @@ def test_files_are_found_from_the_scenario(tmp_path: Path) -> None:
     assert scenario.randomise.looks == str(tmp_path / "rules.yaml")
 
 
-def test_all_mistakes_of_a_file_are_told_at_once(tmp_path: Path) -> None:
+def test_all_mistakes_of_a_file_are_reported_at_once(tmp_path: Path) -> None:
     found = mistakes(
         tmp_path, "scens: flat\nruns: 0\nstack: {comand: x}\nobstacles: {people: [{speed: 1}, {path: [[a, 1], [2, 3]]}]}\n"
     )
@@ -177,7 +177,7 @@ def test_all_mistakes_of_a_file_are_told_at_once(tmp_path: Path) -> None:
         (LEAST + "verdicts: {predicates: json.loads}\n", "verdicts.predicates is 'json.loads', must be module:function"),
     ],
 )  # fmt: skip
-def test_a_wrong_value_is_told_with_the_path_of_its_key(tmp_path: Path, text: str, told: str) -> None:
+def test_a_wrong_value_is_reported_with_the_path_of_its_key(tmp_path: Path, text: str, told: str) -> None:
     (found,) = mistakes(tmp_path, text)
     assert found.startswith(told)
 
@@ -240,7 +240,7 @@ def test_a_large_file_is_not_read(tmp_path: Path) -> None:
         load(tmp_path, LEAST + "#" * 1_000_001)
 
 
-def test_a_missing_file_is_told_with_the_names_of_ours(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_with_the_built_in_names(tmp_path: Path) -> None:
     with pytest.raises(GibsonSimError, match="'flatt' is not found; did you mean 'flat'"):
         load_scenario("flatt")
 

@@ -232,7 +232,7 @@ def test_a_page_that_comes_later_gets_what_is_kept(server: PageServer) -> None:
     assert _talk(server, talk) == {"type": "map", "value": {"width": 3}}
 
 
-def test_a_page_that_reads_nothing_holds_nobody_up(server: PageServer, backend: Backend) -> None:
+def test_a_page_that_reads_nothing_delays_no_other(server: PageServer, backend: Backend) -> None:
     async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
         for number in range(20_000):
             server.broadcast("status", {"number": number, "text": "x" * 1000})
@@ -306,7 +306,7 @@ def test_a_page_that_comes_later_gets_the_image_of_this_moment_but_none_of_the_p
     assert _talk(server, first_image) is None
 
 
-def test_a_page_that_asks_without_end_is_told_once() -> None:
+def test_a_page_that_sends_requests_without_end_is_warned_once() -> None:
     """60 requests at once, and 30 a second after that."""
     page = Page(cast("Any", None), asyncio.Queue())
     assert [page.allow_request(100.0) for _ in range(70)] == [True] * 60 + [False] * 10

@@ -36,7 +36,7 @@ def test_a_page_gets_what_it_watches_and_nothing_else() -> None:
     assert sent == ["/a", "/b"]
 
 
-def test_acknowledgements_that_were_not_asked_for_open_no_window() -> None:
+def test_unexpected_acknowledgements_open_no_window() -> None:
     sent: list[float] = []
     viewer = Viewer(lambda image: sent.append(image.stamp_s))
     viewer.watch(("/a",))

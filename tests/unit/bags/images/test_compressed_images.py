@@ -196,7 +196,7 @@ def test_raw_form_comes_before_the_compressed_one_of_the_same_images(
     assert base_topic("/d/x/compressedDepth") == "/d/x"
 
 
-def test_size_line_tells_rate_room_and_the_other_form() -> None:
+def test_size_line_reports_rate_free_space_and_the_other_form() -> None:
     """640x480 at 30 Hz: 27.6 MB/s of colour and 36.9 MB/s of depth; 10 GB are full after 155 s."""
     streams = [ImageStream("rgb", 640, 480, 30.0), ImageStream("depth", 640, 480, 30.0)]
     raw = size_line(streams, "raw", 10_000_000_000)

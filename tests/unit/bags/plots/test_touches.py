@@ -38,7 +38,7 @@ def write(messages: Any, tmp_path: Path) -> Callable[[dict[str, str], Rows], Pat
     return write_rows
 
 
-def test_collision_with_contacts_tells_what_how_long_and_how_hard(write: Callable[..., Path], messages: Any) -> None:
+def test_collision_with_contacts_reports_body_duration_and_force(write: Callable[..., Path], messages: Any) -> None:
     """It pushes a box from 1.0 s to 2.0 s, and meanwhile brushes a wall at 1.5 s; standing on the ground is no contact."""
     rows = []
     for tick in range(41):

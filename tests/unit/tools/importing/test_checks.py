@@ -159,7 +159,7 @@ def test_what_a_scene_that_was_begun_lacks_is_a_note_and_what_no_longer_fits_a_w
     assert "out-of-date: floors.txt: has floors at 1.5 m, the scene at 0 m" in capsys.readouterr().out
 
 
-def test_what_is_wrong_is_told_with_a_remedy_and_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_are_reported_with_a_remedy_and_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners, quads = room()
     starts = "starts: [{name: bad, xy: [1.5, 1.0]}, {name: good, xy: [0.0, 0.0]}]\nfloor_z: 0.0\n"
     assert _run("check", _scene(tmp_path / "a", corners, quads, starts), "--json") == 1
@@ -169,11 +169,11 @@ def test_what_is_wrong_is_told_with_a_remedy_and_exit_code_1(tmp_path: Path, cap
     assert report["scene"]["size"] == pytest.approx(list(SIZE))
 
 
-def test_a_floor_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_missing_floor_is_reported(tmp_path: Path) -> None:
     assert _found(check_path(_scene(tmp_path / "a", *room(), "floor_z: 1.4\n")))["no-floor"] == "warning"
 
 
-def test_a_floor_that_faces_down_is_told(tmp_path: Path) -> None:
+def test_a_floor_that_faces_down_is_reported(tmp_path: Path) -> None:
     corners, quads = room(furniture=False)
     assert "floor-faces-down" in _found(check_path(_scene(tmp_path / "a", corners, quads[:, ::-1], "floor_z: 0.0\n")))
 
@@ -230,7 +230,7 @@ def test_instances_of_a_mesh_count_as_the_copies_that_a_repair_makes_of_them(tmp
     assert mended.amounts["holes"] == pytest.approx(12.0)
 
 
-def test_what_a_robot_would_see_as_a_hole_is_told_before_it_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_holes_in_a_robots_views_are_reported_before_it_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     corners, quads = room(furniture=False)
     assert "view-holes" not in _found(check_path(_scene(tmp_path / "a", corners, quads)))
     report = check_path(_scene(tmp_path / "b", corners, quads[:-1]))
