@@ -1,6 +1,7 @@
 """A tiny stack, as a user might write it: drives to the goal by exact odometry, and reports its arrival.
 
-It sends one command per odometry message, so that runs repeat in lockstep. ``python drive.py [crash|nan|hang|daemon|service|lifecycle]`` does as the word says.
+It sends one command per odometry message, so that runs repeat in lockstep.
+``python drive.py [crash|nan|hang|daemon|service|lifecycle]`` does as the word says.
 """
 
 from __future__ import annotations
