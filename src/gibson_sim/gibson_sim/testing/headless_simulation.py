@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gibson_sim.errors import AlreadyRunningError, ConfigError, GibsonSimError, SceneError
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import enumerated, quoted
+from gibson_sim.standard.openings import BLOCKED_S
 from gibson_sim.testing.processes import DOMAINS, NODE_VARIABLES, Program, SimulationProcess, free_domains, variables_set
 from gibson_sim.testing.settings import PARTICIPANT, SimulationSettings
 
@@ -29,6 +30,10 @@ _CLEARANCES = (0.1, 0.05, 0.0)
 """Clearances in addition to the robot's radius for path planning, tried in order, m."""
 _OCCUPIED = 50
 """Value of an occupancy grid above which a cell counts as occupied."""
+_MAX_DOORS = 10
+"""Number of doors that a message lists."""
+_DOOR_STATE_S = 0.2
+"""Time within which the state of doors is published, s of simulation time."""
 _MAX_COLLISIONS = 5
 """Number of collisions that a message lists."""
 
@@ -54,7 +59,7 @@ class HeadlessSimulation:
 
     def __init__(
         self, *, domains: str = DOMAINS, folder: Path | None = None, bag: Path | None = None, first_domain: int | None = None,
-        **settings: Any,
+        reach: str | None = None, **settings: Any,
     ) -> None:  # fmt: skip
         """Starts a simulation and waits until it is ready.
 
@@ -63,6 +68,7 @@ class HeadlessSimulation:
             folder: folder to which relative paths in the settings refer; None = the working folder.
             bag: folder of the recording, required with ``record=True``.
             first_domain: first position in the range that is tried; None = derived from the process id.
+            reach: who can reach the nodes, as for ``node_environment``.
             settings: see ``SimulationSettings``; all settings of the physics node, and of the render node with ``cameras=True``.
 
         Raises:
@@ -83,7 +89,7 @@ class HeadlessSimulation:
         self._client: Client | None = None
         self._process: SimulationProcess | None = None
         for domain in free_domains(domains, os.getpid() if first_domain is None else first_domain):
-            environment = node_environment(domain_id=domain)
+            environment = node_environment(domain_id=domain, reach=reach)
             try:
                 self._start(domain, environment)
             except AlreadyRunningError:  # another process took the domain meanwhile
@@ -173,12 +179,17 @@ class HeadlessSimulation:
             WaitError: the condition does not hold in time.
         """
         client = self._running_client
-        begin = client.now
+        begin = self.time
         while not (value := condition()):
             if client.now - begin >= timeout - 1e-9:
                 raise WaitError(f"waited {timeout:g} s of simulation time for {what or _source(condition)}; {self.summary()}")
             client.next_tick()
         return value
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether ``pause`` has paused time."""
+        return self._running_client.is_paused
 
     def pause(self) -> None:
         """Pauses time; ``step`` then executes physics steps."""
@@ -219,6 +230,13 @@ class HeadlessSimulation:
 
         return {name: robot_pose(pose) for name, pose in client.services.poses().items()}
 
+    def places(self) -> dict[str, RobotPose]:
+        """Returns the named poses of the scene."""
+        client = self._running_client
+        from gibson_sim.ros.client.client import robot_pose
+
+        return {place.name: robot_pose(place.pose) for place in client.services.ask("get_named_poses").poses}
+
     def _floor_z(self) -> float:
         client = self._running_client
         try:
@@ -240,7 +258,7 @@ class HeadlessSimulation:
         client.catch_up()
         return client.collisions()
 
-    def drive(self, linear: float, angular: float, seconds: float, *, robot: str = "") -> None:
+    def drive(self, linear: float, angular: float, seconds: float, *, robot: str = "", lateral: float = 0.0) -> None:
         """Commands a velocity at every tick for some time, then a stop.
 
         Args:
@@ -248,11 +266,12 @@ class HeadlessSimulation:
             angular: yaw rate, rad/s, counter-clockwise.
             seconds: simulation time, s.
             robot: name of the robot; empty = the first robot.
+            lateral: velocity to the left, m/s; only omnidirectional robots have one.
         """
         client, name = self._running_client, self._robot(robot)
-        end = client.now + seconds
+        end = self.time + seconds
         while client.now < end - 1e-9:
-            client.command(name, linear, angular)
+            client.command(name, linear, angular, lateral)
             client.next_tick()
         client.command(name, 0.0, 0.0)
         client.next_tick()
@@ -279,7 +298,7 @@ class HeadlessSimulation:
         from gibson_sim.robots.path_tracking import PathFollower
 
         client, name = self._running_client, self._robot(robot)
-        pose, begin, follower = client.pose(name), client.now, None
+        pose, begin, follower = client.pose(name), self.time, None
         while pose.distance_to(x, y) > within:
             if follower is None or follower.done:
                 path = self._path((pose.x, pose.y), (x, y), within)
@@ -352,6 +371,41 @@ class HeadlessSimulation:
         radius = load_robot(robot).radius
         return [PathPlanner(floor, radius + clearance) for clearance in _CLEARANCES]
 
+    # Doors
+
+    def doors(self) -> dict[str, float]:
+        """Returns the opening of each door and drawer by name, ``<body>/<joint>``: 0 = closed, 1 = fully open."""
+        return {name: joint.opening for name, joint in self._running_client.openings().items()}
+
+    def open_door(self, name: str, opening: float = 1.0) -> None:
+        """Moves a door or drawer while time advances, and releases it, so that it swings freely.
+
+        Args:
+            name: name of the joint, ``<body>/<joint>``.
+            opening: 0 = closed, 1 = fully open.
+
+        Raises:
+            WaitError: the door is blocked; the message has its opening.
+        """
+        client = self._running_client
+        doors = client.openings()
+        if name not in doors:
+            known = f"; it has: {enumerated(sorted(doors), _MAX_DOORS)}" if doors else ", which has none"
+            raise ConfigError(f"{quoted(name)} is not a door or drawer of this simulation{known}")
+        if not 0.0 <= opening <= 1.0:
+            raise ConfigError(f"opening is {quoted(opening)}, must be from 0 (closed) to 1 (open)")
+        client.move_joint(name, doors[name].position_at(opening))
+        begin, arrived = self.time, False
+        while not arrived and client.now < begin + BLOCKED_S:
+            client.next_tick()
+            # Until then the latest state may be older than the command.
+            arrived = client.now > begin + _DOOR_STATE_S and client.openings()[name].has_reached(opening)
+        client.move_joint(name, None)
+        client.next_tick()
+        if not arrived:
+            reached = 100.0 * client.openings()[name].opening
+            raise WaitError(f"{name} is blocked: it is {reached:.0f} % open after {BLOCKED_S:g} s; {self.summary()}")
+
     # Topics
 
     def topics(self) -> dict[str, str]:
@@ -366,6 +420,10 @@ class HeadlessSimulation:
             kind: message class; required only before the topic has a publisher.
         """
         self._running_client.subscribe(topic, kind)
+
+    def unsubscribe(self) -> None:
+        """Ends all subscriptions and discards their messages."""
+        self._running_client.unsubscribe_all()
 
     def messages(self, topic: str) -> Sequence[Any]:
         """Returns all messages of a topic since its subscription or a reset, oldest first."""
@@ -387,6 +445,10 @@ class HeadlessSimulation:
         return client.messages(topic)[-1:]
 
     # The robot's programs
+
+    def has_joined(self, node: str) -> bool:
+        """Returns whether a node has joined the lockstep; with ``lockstep=False``, whether it exists."""
+        return self._running_client.has_joined(node)
 
     def start(
         self,

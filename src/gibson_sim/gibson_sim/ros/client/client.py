@@ -23,6 +23,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from simulation_interfaces.msg import SimulationState
 
 from gibson_msgs.msg import CollisionCount, Contacts, TickDigest
@@ -38,6 +39,7 @@ from gibson_sim.ros.nodes.node_main import make_executor
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, type_name_of
 from gibson_sim.settings import nearest
+from gibson_sim.standard.openings import JointOpening, joint_openings
 from gibson_sim.types import NS_PER_S, WORLD_FRAME
 
 __tracebackhide__ = True
@@ -281,6 +283,12 @@ class Client:
     def publishers(self, topic: str) -> frozenset[tuple[int, ...]]:
         """Returns the GIDs of the publishers of a topic that are discovered now."""
         return frozenset(tuple(info.endpoint_gid) for info in self.node.get_publishers_info_by_topic(self.resolve(topic)))
+
+    def has_joined(self, participant: str) -> bool:
+        """Returns whether another lockstep participant, a node of that name, has joined; without lockstep, whether there is such a node."""
+        if not self._lockstep:
+            return participant in self.node.get_node_names()
+        return any(info.node_name == participant for info in self.node.get_publishers_info_by_topic(names.TICK_DONE))
 
     def follow(self, text: str, earlier: frozenset[tuple[int, ...]], has_ended: Callable[[], bool], timeout_s: float) -> None:
         """Waits until a program publishes on the topic of a rule; from then on, each tick waits for its answer, in lockstep.
@@ -573,10 +581,34 @@ class Client:
             while self._begin_tick():
                 pass
 
+    def unsubscribe(self, topic: str) -> None:
+        """Ends the subscription of a topic and discards its messages; does nothing if it is not subscribed to."""
+        if (subscribed := self._subscribed.pop(self.resolve(topic), None)) is not None:
+            self.node.destroy_subscription(subscribed.handle)
+
     def unsubscribe_all(self) -> None:
         """Ends all subscriptions that ``subscribe`` created."""
         for name in [name for name in self._subscribed if not name.endswith(" (internal)")]:
-            self.node.destroy_subscription(self._subscribed.pop(name).handle)
+            self.unsubscribe(name)
+
+    # Doors
+
+    def openings(self) -> dict[str, JointOpening]:
+        """Returns the latest state of each door and drawer by name, ``<body>/<joint>``; subscribes to it. Empty = there are none."""
+        name = self.resolve(names.OBJECT_JOINT_STATES)
+        if name not in self._subscribed and name not in self.topics():
+            return {}
+        self.subscribe(name)
+        messages = self._subscribed[name].messages
+        self._settle(lambda: bool(messages))  # it is latched
+        return joint_openings(conversions.joint_values(messages[-1])) if messages else {}
+
+    def move_joint(self, joint: str, position: float | None) -> None:
+        """Commands the position of a joint of a body, rad or m, with the next step; None = it swings freely."""
+        values = {"effort": [0.0]} if position is None else {"position": [position]}
+        publisher = self._publisher(names.OBJECT_JOINT_COMMAND, JointState)
+        publisher.publish(JointState(name=[joint], **values))
+        self._sent.append(publisher.topic_name)
 
     # The robot
 
@@ -601,15 +633,15 @@ class Client:
         collisions = (collision for log in self._collisions.values() for collision in log.collisions)
         return sorted(collisions, key=lambda collision: collision.time)
 
-    def command(self, robot: str, linear: float, angular: float) -> None:
-        """Publishes a velocity command, m/s and rad/s, which takes effect with the next step."""
+    def command(self, robot: str, linear: float, angular: float, lateral: float = 0.0) -> None:
+        """Publishes a velocity command, m/s and rad/s, which takes effect with the next step; ``lateral`` is to the left."""
         topic = f"{self._robots[robot]}{names.CMD_VEL}"
         publisher = self._publisher(topic, TwistStamped if self._stamped else Twist)
         message = TwistStamped() if self._stamped else Twist()
         twist = message.twist if self._stamped else message
         if self._stamped:
             message.header.stamp = conversions.time_to_msg(self._now_ns)
-        twist.linear.x, twist.angular.z = float(linear), float(angular)
+        twist.linear.x, twist.linear.y, twist.angular.z = float(linear), float(lateral), float(angular)
         publisher.publish(message)
         self._sent.append(publisher.topic_name)
 
@@ -627,9 +659,7 @@ class Client:
         if topic not in self._publishers:
             publisher = self.node.create_publisher(kind, topic, qos.COMMAND)
             try:
-                self._spin_until(
-                    DISCOVERY_S, lambda: publisher.get_subscription_count() > 0, f"a robot that subscribes to {topic}"
-                )
+                self._spin_until(DISCOVERY_S, lambda: publisher.get_subscription_count() > 0, f"a subscriber of {topic}")
             except GibsonSimError:
                 self.node.destroy_publisher(publisher)
                 raise

@@ -27,6 +27,7 @@ from gibson_sim.ros.conversions.images import (
 )
 from gibson_sim.ros.conversions.robot import (
     joint_command_from_msg,
+    joint_values,
     odometry_pose,
     planar_covariance,
     planar_from_odometry,
@@ -59,6 +60,7 @@ __all__ = [
     "image_to_msg",
     "imu_to_msg",
     "joint_command_from_msg",
+    "joint_values",
     "label_info_to_msg",
     "label_info_type",
     "lidar_cloud_to_msg",

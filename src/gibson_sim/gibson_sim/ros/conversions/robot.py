@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Twist
@@ -98,3 +99,9 @@ def joint_command_from_msg(msg: JointTrajectoryMsg | JointState) -> JointCommand
         for point in msg.points
     )
     return JointTrajectory(tuple(msg.joint_names), points, time_from_msg(msg.header.stamp))
+
+
+def joint_values(msg: Any) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yields name, ``<body>/<joint>``, and interface -> value of each joint of a control_msgs/DynamicJointState."""
+    for name, row in zip(msg.joint_names, msg.interface_values, strict=False):
+        yield str(name), dict(zip(row.interface_names, row.values, strict=False))

@@ -40,6 +40,7 @@ from gibson_sim.ros.recording.raw_subscriptions import recording_profile
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, service_class
+from gibson_sim.standard.openings import joint_openings
 from gibson_sim.standard.requests import CHANGING_REQUESTS
 from gibson_sim.trials.execution.monitor import Decision, RunMonitor
 from gibson_sim.trials.execution.node_settings import POSE_TYPE
@@ -85,8 +86,6 @@ CALL_TOPICS = {
 } | {names.OBJECT_JOINT_COMMAND: ((f"/{names.OBJECT_JOINT_COMMAND}", True),), PAUSE: (("rq/record/pauseRequest", False),)}
 """Each of ``CONTROLS``, and the service that pauses the recorder -> topics on which its requests arrive, each with whether ROS mangles its
 name in DDS."""
-_HANDLES = ("handle", "lever", "knob")
-"""Suffixes of the names of joints that belong to handles, not to doors."""
 _OK = sim_msg.Result.RESULT_OK
 _ACTIVE = 3
 """Value of lifecycle_msgs/State.PRIMARY_STATE_ACTIVE."""
@@ -231,12 +230,9 @@ class TrialNode(Node):
         self._call(self._spawn, request)
 
     def _on_joints(self, msg: Any) -> None:
-        bodies, closed_positions = self._plan.run.closed_doors, {}
-        for name, row in zip(msg.joint_names, msg.interface_values, strict=True):
-            if name.partition("/")[0] in bodies and not name.endswith(_HANDLES):
-                values = dict(zip(row.interface_names, row.values, strict=True))
-                closed_positions[name] = min(max(0.0, values["lower"]), values["upper"])
-        self._doors = closed_positions
+        bodies = self._plan.run.closed_doors
+        openings = joint_openings(conversions.joint_values(msg))
+        self._doors = {name: joint.closed for name, joint in openings.items() if name.partition("/")[0] in bodies}
 
     def _wait_until_ready(self) -> None:
         """Waits until the stack is ready, and sends its initial pose and its goal; time stands still meanwhile if possible."""

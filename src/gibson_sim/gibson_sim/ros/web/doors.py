@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -14,43 +13,13 @@ from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.web.robots import GraphNode
+from gibson_sim.standard.openings import BLOCKED_S, JointOpening, joint_openings
 from gibson_sim.types import NS_PER_S
 from gibson_sim.web.pages import Answer
 from gibson_sim.web.requests import Open
 
-OPENING_TOLERANCE = 0.02
-"""Tolerance of the requested opening within which a joint is released, as a fraction of its range."""
-_SPEED_TOLERANCE = 0.02
-"""Speed below which a joint is released, rad/s or m/s: a moving one would bounce off its stop."""
-_TIMEOUT_NS = 8 * NS_PER_S
+_TIMEOUT_NS = round(BLOCKED_S * NS_PER_S)
 """Time after which a blocked joint is released, ns of simulation time."""
-_HANDLES = ("handle", "lever", "knob")
-"""Suffixes of the names of joints that belong to handles, not to doors."""
-
-
-@dataclass(slots=True)
-class _Joint:
-    """State and limits of a joint, rad or m."""
-
-    position: float
-    lower: float
-    upper: float
-    velocity: float
-
-    @property
-    def closed(self) -> float:
-        """Closed position: 0, or the limit that is closest to 0."""
-        return min(max(0.0, self.lower), self.upper)
-
-    @property
-    def range(self) -> float:
-        """Difference between open and closed position; negative for a joint that opens in the negative direction."""
-        return max(self.upper - self.closed, self.lower - self.closed, key=abs)
-
-    @property
-    def opening(self) -> float:
-        """Opening as a fraction of the range, 0 = closed, 1 = open."""
-        return (self.position - self.closed) / self.range
 
 
 @dataclass(slots=True)
@@ -75,7 +44,7 @@ class Doors:
     """
 
     def __init__(self, node: GraphNode) -> None:
-        self._node, self._joints = node, dict[str, _Joint]()
+        self._node, self._joints = node, dict[str, JointOpening]()
         self._motions: dict[str, _Motion] = {}
         self._stamp_ns = 0
         self._publisher = node.create_publisher(JointState, names.OBJECT_JOINT_COMMAND, 10)
@@ -109,18 +78,10 @@ class Doors:
             answer(False, f"{quoted(request.joint)} is not a door or drawer of this simulation")
             return
         self._motions[request.joint] = _Motion(request.opening, self._stamp_ns + _TIMEOUT_NS, answer)
-        target = joint.closed + request.opening * joint.range
-        self._publisher.publish(JointState(name=[request.joint], position=[target]))
+        self._publisher.publish(JointState(name=[request.joint], position=[joint.position_at(request.opening)]))
 
     def _on_states(self, msg: Any) -> None:
-        self._joints = {}
-        for name, row in zip(msg.joint_names, msg.interface_values, strict=False):
-            values = dict(zip(row.interface_names, row.values, strict=False))
-            if name.endswith(_HANDLES) or not {"position", "lower", "upper"} <= values.keys():
-                continue
-            joint = _Joint(values["position"], values["lower"], values["upper"], values.get("velocity", 0.0))
-            if math.isfinite(joint.opening if joint.range else math.nan):
-                self._joints[name] = joint
+        self._joints = joint_openings(conversions.joint_values(msg))
         previous_ns, self._stamp_ns = self._stamp_ns, conversions.time_from_msg(msg.header.stamp)
         if self._stamp_ns < previous_ns:  # a reset
             self._motions.clear()
@@ -130,11 +91,7 @@ class Doors:
     def _release_if_done(self, name: str, motion: _Motion) -> None:
         """Releases a joint that has reached the requested opening, or is blocked."""
         joint = self._joints.get(name)
-        arrived = (
-            joint is not None
-            and abs(joint.opening - motion.opening) < OPENING_TOLERANCE
-            and abs(joint.velocity) < _SPEED_TOLERANCE
-        )
+        arrived = joint is not None and joint.has_reached(motion.opening)
         if joint is not None and not arrived and self._stamp_ns < motion.deadline_ns:
             return
         del self._motions[name]
