@@ -73,6 +73,7 @@ setup(
         "learn": ["gymnasium>=1.1", "stable-baselines3>=2.6", "torch>=2.3", "matplotlib>=3.8"],
         "analysis": ["matplotlib>=3.8"],
         "foxglove": ["foxglove-sdk>=0.30"],
+        "mcp": ["mcp>=2.3"],
         "ray": ["ray>=2.40"],
         "filler": ["onnxruntime>=1.20"],
         # Levels of detail, compressed glTF, simplified scans. Has no wheels: pip compiles it.

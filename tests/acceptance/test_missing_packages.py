@@ -32,6 +32,7 @@ ROS = (
 CASES = (
     ("foxglove", ("web", "--foxglove"), "--foxglove needs the Python package foxglove-sdk, which is not installed: `pip install foxglove-sdk`"),
     ("foxglove", ("run", "--foxglove"), "--foxglove needs the Python package foxglove-sdk, which is not installed: `pip install foxglove-sdk`"),
+    ("mcp", ("mcp",), "`gibson-sim mcp` needs the Python package mcp, which is not installed: `pip install 'gibson_sim[mcp]'`"),
     ("matplotlib", ("bag", "plot", "nowhere"), "a plot needs matplotlib, which is not installed: `pip install 'gibson_sim[analysis]'`"),
     ("playwright", ("bench", "web"), "playwright is needed: pip install 'gibson_sim_bench[web]'"),
     ("aiohttp", ("web",), "the Python package aiohttp is not installed: `pip install aiohttp`"),

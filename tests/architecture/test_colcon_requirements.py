@@ -31,6 +31,7 @@ BOUNDS = {"numpy"}
 WORTH_HAVING = {"numba", "meshoptimizer"}
 """Optional packages that the file installs."""
 WITHOUT = {
+    "gibson_sim.agents.server": "mcp",
     "gibson_sim.tasks.environments": "gymnasium", "gibson_sim.pytest": "pytest", "gibson_sim_tools.making.blender": "bpy",
     "gibson_sim_learn.path_following.network": "torch", "gibson_sim_learn.path_following.training": "torch",
     "gibson_sim_learn.path_following.distances.network": "torch", "gibson_sim_learn.path_following.distances.training": "torch",

@@ -107,6 +107,11 @@ def list_robots() -> list[str]:
     return sorted(set(_names(_robot_folders())))
 
 
+def list_trials() -> list[str]:
+    """Returns the names of all installed scenario files of trials, in alphabetical order."""
+    return sorted(set(_names([share / "config" / "trials" for share in share_folders()])))
+
+
 def known_objects() -> list[str]:
     """Returns the names of all installed objects of the catalogue, in alphabetical order, without reading them."""
     folders = [

@@ -16,6 +16,10 @@ Names = Literal["", "scene", "robots", "drive", "rules", "views", "file", "parti
 """Kind of the name that a text setting contains; "" = none that can be looked up."""
 
 
+_FLOAT_BITS = 1024
+"""Size of the smallest integers that no float represents, bits."""
+
+
 class Settings(Protocol):
     """A frozen dataclass whose fields are created with ``setting``."""
 
@@ -49,16 +53,20 @@ def setting(
     )
 
 
-def check_settings(settings: Settings) -> None:
+def check_settings(settings: Settings, kind: str = "setting") -> None:
     """Checks type, limits and choices of every field.
+
+    Args:
+        settings: the settings.
+        kind: what the error message calls a field.
 
     Raises:
         ConfigError: a value is not allowed; the message names the field, its value and the allowed values.
     """
     for f in fields(settings):
-        value, what = getattr(settings, f.name), f"setting {quoted(f.name)}"
+        value, what = getattr(settings, f.name), f"{kind} {quoted(f.name)}"
         required = type(f.default)
-        if required is float and type(value) is int:
+        if required is float and type(value) is int and value.bit_length() < _FLOAT_BITS:
             value = float(value)
             object.__setattr__(settings, f.name, value)
         if type(value) is not required:

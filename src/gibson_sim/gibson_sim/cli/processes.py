@@ -28,12 +28,16 @@ _WARNING = re.compile(r"\[?WARN")
 
 def become(module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> NoReturn:
     """Replaces this process by a module of ``gibson_sim.ros.nodes``, so that it owns the terminal, the signals and the exit code."""
-    command = command_of(module, *arguments)
-    sys.stdout.flush()
     alone = {name: value for name, value in environment.items() if name != PARENT_VARIABLE}
     alone.update(enclave_variables(environment, module.removesuffix("_node")))
+    replace_process(command_of(module, *arguments), alone)
+
+
+def replace_process(command: Sequence[str], environment: Mapping[str, str]) -> NoReturn:
+    """Replaces this process by a program; SIGINT is held back until the program is ready for it."""
+    sys.stdout.flush()
     with held_back():
-        os.execve(command[0], command, alone)
+        os.execve(command[0], list(command), environment)
 
 
 class NodeProcess:

@@ -11,8 +11,8 @@ from importlib.metadata import entry_points
 
 COMMANDS = {
     "run": "run", "drive": "clients", "record": "clients", "snapshot": "clients", "web": "clients", "bag": "bag", "compare": "compare",
-    "completion": "completion", "demo": "demo", "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params",
-    "render": "render", "replay": "replay", "scene": "scene", "task": "task", "top": "top", "trial": "trial",
+    "completion": "completion", "demo": "demo", "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "mcp": "mcp",
+    "params": "params", "render": "render", "replay": "replay", "scene": "scene", "task": "task", "top": "top", "trial": "trial",
     "topic": "ros_tools", "node": "ros_tools", "service": "ros_tools", "param": "ros_tools", "action": "ros_tools",
     "spawn": "ros_tools", "move": "ros_tools", "delete": "ros_tools", "pause": "ros_tools", "play": "ros_tools", "step": "ros_tools",
     "reset": "ros_tools", "load": "ros_tools", "goal": "ros_tools",

@@ -26,14 +26,15 @@ class MessageValueError(GibsonSimError):
     """A value does not fit a field of a message."""
 
 
-def yaml_text(message: Any, *, whole: bool = False) -> str:
+def yaml_text(message: Any, *, whole: bool = False, inline: bool = False) -> str:
     """Returns a message as YAML, one field per line.
 
     Args:
         message: any message, request or response.
         whole: print whole arrays and strings.
+        inline: print each array of numbers or strings in one line.
     """
-    return "".join(f"{line}\n" for line in _lines(message, "", whole))
+    return "".join(f"{line}\n" for line in _lines(message, "", whole, inline))
 
 
 def field_of(message: Any, path: str) -> Any:
@@ -157,7 +158,7 @@ def _class_of(type_name: str) -> Any:
     return message_class(f"{package}/msg/{name}")
 
 
-def _lines(message: Any, indent: str, whole: bool) -> Iterator[str]:
+def _lines(message: Any, indent: str, whole: bool, inline: bool = False) -> Iterator[str]:
     fields = message.get_fields_and_field_types()
     if not fields:
         yield f"{indent}{{}}"
@@ -165,15 +166,18 @@ def _lines(message: Any, indent: str, whole: bool) -> Iterator[str]:
         value = _plain(getattr(message, name))
         if hasattr(value, "get_fields_and_field_types"):
             yield f"{indent}{name}:"
-            yield from _lines(value, indent + "  ", whole)
+            yield from _lines(value, indent + "  ", whole, inline)
         elif isinstance(value, list) and value and hasattr(value[0], "get_fields_and_field_types"):
             yield f"{indent}{name}:"
             for item in value if whole else value[:SHORT]:
-                first, *rest = _lines(item, indent + "  ", whole)
+                first, *rest = _lines(item, indent + "  ", whole, inline)
                 yield f"{indent}- {first.strip()}"
                 yield from rest
             if not whole and len(value) > SHORT:
                 yield f"{indent}- '...'"
+        elif isinstance(value, list) and value and inline:
+            items = [_scalar(item, whole) for item in (value if whole else value[:SHORT])]
+            yield f"{indent}{name}: [{', '.join(items)}{'' if whole or len(value) <= SHORT else ', ...'}]"
         elif isinstance(value, list) and value:
             yield f"{indent}{name}:"
             for item in value if whole else value[:SHORT]:

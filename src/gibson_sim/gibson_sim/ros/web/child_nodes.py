@@ -19,14 +19,23 @@ from gibson_sim.processes.node_process import PARENT_VARIABLE, command_of, end_n
 
 RECORDINGS = Path("out/web")
 """Folder of all recordings that pages start, relative to the working directory of the server."""
+TIME_FORMAT = "%Y-%m-%d_%H-%M-%S"
+"""Format of names that are times."""
 
 
 class ChildNode:
     """A node in a separate process, which ends with this process, even if this one is killed."""
 
-    def __init__(self, module: str, config: Any) -> None:
-        """Starts ``gibson_sim.ros.nodes.<module>`` with settings; must be called in the main thread, since the child ends with its parent thread."""
-        environment = {name: value for name, value in os.environ.items() if name != JOB_VARIABLE}
+    def __init__(self, module: str, config: Any, environment: Mapping[str, str] | None = None) -> None:
+        """Starts ``gibson_sim.ros.nodes.<module>``; must be called in a thread that lives long, since the child ends with its parent thread.
+
+        Args:
+            module: name of the module.
+            config: settings of the node.
+            environment: environment of the node; None = that of this process.
+        """
+        base = os.environ if environment is None else environment
+        environment = {name: value for name, value in base.items() if name != JOB_VARIABLE}
         self._tail: deque[str] = deque(maxlen=20)
         self._end_requested = False
         command = command_of(module, *node_arguments(config))
@@ -63,9 +72,11 @@ class ChildNode:
 
 
 class Recorder:
-    """The recording that a page has started: a record node, with a folder named by the time."""
+    """A recording that starts and ends on request, such as a page's: a record node."""
 
-    def __init__(self) -> None:
+    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+        """``environment``: environment of the node; None = that of this process."""
+        self._environment = environment
         self._child: ChildNode | None = None
         self._folder: Path | None = None
         self._start_s: float | None = None
@@ -76,11 +87,17 @@ class Recorder:
         """Whether a recording runs."""
         return self._child is not None
 
-    def start(self, *, images: bool) -> str:
-        """Starts a recording of all topics, with compressed images if ``images`` is set, otherwise without; returns its folder."""
-        folder = RECORDINGS / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    def start(self, *, images: bool, folder: Path | None = None) -> str:
+        """Starts a recording of all topics; returns its folder.
+
+        Args:
+            images: whether to record images too, compressed.
+            folder: folder of the bag, which must not exist; None = one named by the time.
+        """
+        if folder is None:
+            folder = RECORDINGS / datetime.now().strftime(TIME_FORMAT)
         config = RecordConfig(output=str(folder), record_images="compressed" if images else "none", compression="zstd")
-        self._child = ChildNode("record_node", config)
+        self._child = ChildNode("record_node", config, self._environment)
         self._folder, self._start_s, self._error = folder, None, ""
         return str(folder)
 
