@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from gibson_sim_bench.browser import chromium
 
-DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
-FILM_WIDTH, RATE_HZ = 800, 5
+DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+FILM_WIDTH, RATE_HZ = 960, 5
 """Width of the film, pixels, and its pictures a second."""
 
 _THING = "[...document.querySelector('#catalogue').options].map((o) => o.text).find((name) => /crate|box|chair/.test(name))"
@@ -71,8 +71,6 @@ def _film(page: Any, path: Path) -> None:
             )
             page.wait_for_timeout(max(0.0, 1000.0 / RATE_HZ - 1000.0 * (time.monotonic() - began)))
 
-    page.click("#topics button:has-text('view_follow')")
-    page.click("#plots-toggle")
     page.select_option("#plot-topic", "/odom")
     for field in ("twist.twist.linear.x", "twist.twist.angular.z"):
         page.wait_for_selector(f"#plot-field option[value='{field}']", state="attached")
@@ -85,17 +83,17 @@ def _film(page: Any, path: Path) -> None:
         shoot(seconds)
         for key in keys:
             page.keyboard.up(key)
-    page.select_option("#catalogue", label="box_cardboard")
     page.click("[data-mode=spawn]")
+    page.select_option("#catalogue", label="box_cardboard")
     box = page.locator("#map").bounding_box()
     page.mouse.click(box["x"] + 0.46 * box["width"], box["y"] + 0.62 * box["height"])
     shoot(1.5)
     page.click("[data-mode=look]")
-    page.click("#doors li:has-text('bathroom door') button")
+    page.click("[data-key='e:bathroom_door'] > span")
+    page.click("[data-key='e:bathroom_door'] button")
     shoot(2.5)
-    page.click("#plots-toggle")
-    page.click("#three")
-    shoot(1.5)
+    page.locator("#tab-view3d").dblclick()
+    shoot(1.0)
     box = page.locator("#scene3d").bounding_box()
     page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     for _ in range(4):
@@ -106,6 +104,8 @@ def _film(page: Any, path: Path) -> None:
         page.mouse.move(box["x"] + (0.5 + 0.04 * k) * box["width"], box["y"] + (0.5 + 0.02 * k) * box["height"])
         shoot(0.3)
     page.mouse.up()
+    page.keyboard.press("Escape")
+    shoot(1.0)
     page.close()
     animation = cv2.Animation()
     animation.frames = pictures

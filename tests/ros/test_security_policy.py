@@ -34,6 +34,7 @@ ONLY_SOMETIMES = {
     ("web", "publish", "/cmd_vel"),  # a page drives
     ("web", "publish", "/goal_pose"),
     ("web", "publish", "/initialpose"),
+    ("web", "publish", "/joint_command"),  # a page moves a joint
     ("foxglove", "request", "/*"),  # its client asks
 }
 """Rights that the simulation of this test does not need."""

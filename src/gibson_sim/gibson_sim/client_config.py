@@ -227,6 +227,9 @@ class WebConfig:
     host: str = setting("127.0.0.1", "Address to serve the page on; any but 127.0.0.1 lets other machines in, with a token")
     port: int = setting(8080, "TCP port of the page; 0 = any that is free", minimum=0, maximum=65535)
     token: str = setting("", "Access token for pages on other machines; empty = generated at the start and printed")
+    folder: str = setting(
+        "out/web", "Folder of the page's recordings; the page lists what is below it: bags with their plots, reports of trials"
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)

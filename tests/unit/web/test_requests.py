@@ -10,6 +10,7 @@ from hypothesis import given, strategies as st
 from gibson_sim.web.requests import (
     Drive,
     Goal,
+    MoveJoint,
     Open,
     PageRequestError,
     Plot,
@@ -34,6 +35,7 @@ from gibson_sim.web.requests import (
         ({"type": "drive", "linear": 1, "robot": "left"}, Drive(1.0, 0.0, 0.0, "left")),
         ({"type": "plot", "curves": [["/odom", "pose.pose.position.x"]]}, Plot((("/odom", "pose.pose.position.x"),))),
         ({"type": "open", "joint": "door/hinge", "opening": 1}, Open("door/hinge", 1.0)),
+        ({"type": "joint", "joint": "arm_2", "position": -0.5, "robot": "left"}, MoveJoint("left", "arm_2", -0.5)),
         ({"type": "record", "action": "start"}, Record("start", images=False)),
         (
             {"type": "task", "action": "start", "task": "open-door", "baseline": "scripted", "seed": 3},

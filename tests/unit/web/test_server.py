@@ -6,6 +6,7 @@ import asyncio
 import json
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, cast
 
 import aiohttp
@@ -15,6 +16,7 @@ import pytest
 from gibson_sim.errors import ConfigError
 from gibson_sim.web.curves import CurveName, Sample
 from gibson_sim.web.pages import Answer, Page
+from gibson_sim.web.recordings import Recordings
 from gibson_sim.web.requests import Drive, Plot, Request, Time
 from gibson_sim.web.server import MAX_PAGES, PageServer
 from gibson_sim.web.videos import Image
@@ -98,10 +100,15 @@ def test_the_page_and_its_parts_are_served(server: PageServer) -> None:
         "app.js",
         "dom.js",
         "drive.js",
+        "inspector.js",
+        "layout.js",
+        "log.js",
         "map.js",
-        "panels.js",
         "plots.js",
+        "recordings.js",
         "scene3d.js",
+        "task.js",
+        "tree.js",
         "videos.js",
         "zip.js",
         "style.css",
@@ -346,3 +353,70 @@ def test_a_browser_that_closes_while_the_page_loads_leaves_no_traceback(
     assert _get(f"http://127.0.0.1:{server.port}/")[0] == 200
     _talk(server, talk)
     assert not [record for record in caplog.records if record.levelname == "ERROR"]
+
+
+def _trial(folder: Path) -> None:
+    folder.mkdir()
+    (folder / "results.json").write_text('{"totals": {"passed": 1, "runs": 1}}')
+    (folder / "index.html").write_text("<h1>Trial</h1>")
+
+
+def test_recordings_are_listed_and_reports_run_no_script(backend: Backend, tmp_path: Path) -> None:
+    _trial(tmp_path / "trial")
+    server = PageServer(backend, recordings=Recordings(tmp_path))
+
+    async def get(path: str) -> tuple[int, str, str]:
+        async with aiohttp.ClientSession() as session, session.get(server.url + path) as response:
+            return response.status, await response.text(), response.headers.get("Content-Security-Policy", "")
+
+    try:
+        status, text, _ = asyncio.run(get("recordings"))
+        [entry] = json.loads(text)["entries"]
+        assert (status, entry["kind"], entry["name"]) == (200, "trial", "trial")
+        status, text, policy = asyncio.run(get(f"recordings/{entry['key']}/report"))
+        assert (status, text) == (200, "<h1>Trial</h1>")
+        assert "sandbox;" in policy and "default-src 'none'" in policy and "script" not in policy
+        assert asyncio.run(get("recordings/..%2f..%2fetc/report"))[0] == 422
+        assert asyncio.run(get(f"recordings/{entry['key']}/plots"))[:2] == (
+            422,
+            "no bag with this key is listed: list the recordings again",
+        )
+        assert asyncio.run(get(f"recordings/{entry['key']}/index.html"))[0] == 404
+    finally:
+        server.close()
+        server.join()
+
+
+def test_a_server_without_a_folder_lists_nothing(server: PageServer) -> None:
+    assert _get(f"{server.url}recordings")[0] == 404 and _get(f"{server.url}recordings/x/report")[0] == 404
+
+
+def test_recordings_need_the_token_and_an_own_host(backend: Backend, tmp_path: Path) -> None:
+    server = PageServer(backend, "0.0.0.0", token="secret-token", recordings=Recordings(tmp_path))
+    try:
+        address = f"http://127.0.0.1:{server.port}/recordings"
+        assert _get(address)[0] == 403 and _get(f"{address}/x/report")[0] == 403
+        assert _get(f"{address}?token=secret-token")[0] == 200
+        assert _get(f"{address}?token=secret-token", Origin="http://elsewhere.example")[0] == 403
+    finally:
+        server.close()
+        server.join()
+
+
+def test_the_first_camera_is_received_for_a_page_that_is_loaded(
+    server: PageServer, backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gibson_sim.web.server._EXPECTED_S", 0.5)
+    server.broadcast("topics", [{"topic": "/camera", "label": "camera"}, {"topic": "/view", "label": "view"}], keep=True)
+    assert _get(server.url)[0] == 200
+    _until(lambda: backend.watched == [frozenset({"/camera"})])
+    server.send_image(Image("/camera", 1.0, b"jpeg"))
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> bytes:
+        await socket.send_json({"type": "watch", "topics": ["/camera"]})
+        while (message := await socket.receive(timeout=60)).type is not aiohttp.WSMsgType.BINARY:
+            pass
+        return cast(bytes, message.data)
+
+    assert _talk(server, talk).endswith(b"jpeg"), "the image that came before the page had connected"
+    _until(lambda: backend.watched[-1] == frozenset())

@@ -146,6 +146,17 @@ class Open:
 
 
 @dataclass(frozen=True, slots=True)
+class MoveJoint:
+    """Moves a joint of a robot to a position."""
+
+    robot: str
+    """Namespace of the robot, as for ``Drive``."""
+    joint: str
+    position: float
+    """Position, rad or m."""
+
+
+@dataclass(frozen=True, slots=True)
 class Record:
     """Starts a recording in a folder chosen by the server, or ends it."""
 
@@ -164,7 +175,7 @@ class RunTask:
     seed: int = 0
 
 
-Request = Watch | Shown | Drive | Goal | Time | Rate | Spawn | Move | Delete | Plot | Fields | Open | Record | RunTask
+Request = Watch | Shown | Drive | Goal | Time | Rate | Spawn | Move | Delete | Plot | Fields | Open | MoveJoint | Record | RunTask
 
 
 def parse_request(message: str) -> Request:
@@ -305,6 +316,7 @@ _READERS: dict[str, Any] = {
     "plot": lambda f: Plot(f.curves()),
     "fields": lambda f: Fields(f.text("topic")),
     "open": lambda f: Open(f.text("joint"), f.number("opening", 1.0, 0.0)),
+    "joint": lambda f: MoveJoint(f.robot(), f.text("joint"), f.number("position", MAX_COORDINATE)),
     "record": _record,
     "task": _task,
 }

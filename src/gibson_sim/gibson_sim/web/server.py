@@ -16,6 +16,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib.resources import files
 from typing import Any
@@ -28,6 +29,7 @@ from gibson_sim.web.connections import ConnectionGate, ConnectionLimits, RareWar
 from gibson_sim.web.curves import CurveName, Sample
 from gibson_sim.web.dead_man import DeadMan
 from gibson_sim.web.pages import Backend, Page, send_queued
+from gibson_sim.web.recordings import RecordingError, Recordings
 from gibson_sim.web.requests import MAX_BYTES, Drive, PageRequestError, Plot, Shown, Watch, parse_request
 from gibson_sim.web.videos import Streamed
 
@@ -42,10 +44,14 @@ _TICK_S = 0.05
 """Period of velocity commands, seconds of wall time."""
 _SILENT_S = 10.0
 """Timeout for the answer to a ping, after which a page counts as disconnected, seconds of wall time."""
+_EXPECTED_S = 5.0
+"""Time that a page may take from its request to its connection, seconds of wall time."""
 _PRESENT_S, _MAX_KEPT = 0.3, 64
 """Age up to which an image counts as current, on the clock of the stamps, s; and largest number of kept images."""
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
 _POLICY = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' ws: wss:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
+_REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox; frame-ancestors 'self'"
+"""Policy of reports and plots, which a page shows in a frame: no scripts, no requests, an origin of their own."""
 
 
 class PageServer:
@@ -56,6 +62,7 @@ class PageServer:
         host: address to listen on.
         port: TCP port; 0 = any free port.
         token: token that a page must present; "" = none, allowed only on loopback.
+        recordings: what pages list, plot and open; None = nothing.
         limits: limits of the connections that are not pages; None = the usual ones.
 
     Raises:
@@ -69,15 +76,19 @@ class PageServer:
         port: int = 0,
         token: str = "",
         *,
+        recordings: Recordings | None = None,
         limits: ConnectionLimits | None = None,
     ) -> None:
         if host not in LOOPBACK and not token:
             raise ConfigError(f"address {host} is reachable from other machines: a token is required")
         self._backend, self._host, self._token = backend, host, token
+        self._recordings = recordings
         self._warnings = RareWarnings(logger)
         self._gate = ConnectionGate(limits or ConnectionLimits(), self._warnings)
         self._pages: set[Page] = set()
         self._watched: frozenset[str] = frozenset()
+        self._expected: tuple[frozenset[str], float] = (frozenset(), 0.0)
+        """Topics that a page that is being loaded will watch, and the time until which they are received for it, s of a monotonic clock."""
         self._plotted: frozenset[CurveName] = frozenset()
         self._newest: dict[str, Streamed] = {}
         """Topic -> latest image, for pages that are opened while time is paused."""
@@ -86,6 +97,7 @@ class PageServer:
         self._latched: dict[str, str] = {}
         self._files = {entry.name: entry.read_bytes() for entry in files("gibson_sim.web").joinpath("page").iterdir()}
         self._blobs: dict[str, bytes] = {}
+        self._readers = ThreadPoolExecutor(2, "page-recordings")
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, args=(port,), name="page-server", daemon=True)
         self._ready, self._released = threading.Event(), threading.Event()
@@ -140,6 +152,8 @@ class PageServer:
 
     def close(self) -> None:
         """Ends the server. If a page drives a robot, the backend stops it before connections are closed, which may take seconds."""
+        if self._recordings is not None:
+            self._recordings.close()
         if self._loop.is_running():
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._released.wait(timeout=5.0)
@@ -147,6 +161,7 @@ class PageServer:
     def join(self) -> None:
         """Waits until the connections are closed, after ``close``."""
         self._thread.join(timeout=5.0)
+        self._readers.shutdown(wait=False, cancel_futures=True)
 
     @property
     def _cookie(self) -> str:
@@ -200,6 +215,8 @@ class PageServer:
                 web.get("/page/{name}", self._file),
                 web.get("/data/{name}", self._blob),
                 web.get("/socket", self._socket),
+                web.get("/recordings", self._list_recordings),
+                web.get("/recordings/{key}/{what:report|plots}", self._recording),
             ]
         )
         return application
@@ -230,7 +247,7 @@ class PageServer:
             raise web.HTTPForbidden(text="the token is missing or wrong: open the address that `gibson-sim` printed")
         response: web.StreamResponse = await handler(request)
         if not response.prepared:
-            response.headers["Content-Security-Policy"] = _POLICY
+            response.headers.setdefault("Content-Security-Policy", _POLICY)
             response.headers["X-Content-Type-Options"] = "nosniff"
             response.headers["Cache-Control"] = "no-store"
             if self._token and "token" in request.query:
@@ -240,17 +257,43 @@ class PageServer:
 
     async def _file(self, request: web.Request) -> web.Response:
         name = request.match_info.get("name", "index.html")
+        if name == "index.html":
+            self._expect_page()
         if name not in self._files:
             raise web.HTTPNotFound()
         return web.Response(
             body=self._files[name], content_type=_TYPES.get(name.rpartition(".")[2], "text/plain"), charset="utf-8"
         )
 
+    def _expect_page(self) -> None:
+        """Receives the first image topic for a page that is being loaded, so that its first image is there when it connects."""
+        topics = json.loads(self._latched.get("topics", "{}")).get("value", [])
+        self._expected = (frozenset(entry["topic"] for entry in topics[:1]), time.monotonic() + _EXPECTED_S)
+        self._update_watched()
+
     async def _blob(self, request: web.Request) -> web.Response:
         data = self._blobs.get(request.match_info["name"])
         if data is None:
             raise web.HTTPNotFound()
         return web.Response(body=data, content_type="application/octet-stream")
+
+    async def _list_recordings(self, request: web.Request) -> web.Response:
+        if self._recordings is None:
+            raise web.HTTPNotFound()
+        return web.json_response(await self._loop.run_in_executor(self._readers, self._recordings.list))
+
+    async def _recording(self, request: web.Request) -> web.Response:
+        """Serves the report of a trial, or the plots of a bag, to be shown in a frame."""
+        if self._recordings is None:
+            raise web.HTTPNotFound()
+        read = self._recordings.report if request.match_info["what"] == "report" else self._recordings.plots
+        try:
+            body = await self._loop.run_in_executor(self._readers, read, request.match_info["key"])
+        except RecordingError as error:
+            raise web.HTTPUnprocessableEntity(text=str(error)) from error
+        return web.Response(
+            body=body, content_type="text/html", charset="utf-8", headers={"Content-Security-Policy": _REPORT_POLICY}
+        )
 
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._pages) >= MAX_PAGES:
@@ -331,7 +374,7 @@ class PageServer:
         return sent
 
     def _update_watched(self) -> None:
-        watched = frozenset().union(*(page.viewer.topics for page in self._pages))
+        watched = self._expected[0].union(*(page.viewer.topics for page in self._pages))
         if watched != self._watched:
             self._watched = watched
             self._backend.watch(watched)
@@ -364,5 +407,8 @@ class PageServer:
     async def _tick(self) -> None:
         while True:
             self._drive()
+            if self._expected[0] and time.monotonic() > self._expected[1]:
+                self._expected = (frozenset(), 0.0)
+                self._update_watched()
             self._gate.close_idle()
             await asyncio.sleep(_TICK_S)

@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
     web = subparsers.add_parser(
         "web", help="serve a page for any browser: live images, map and 3-D view; drive, click goals, control time"
     )
-    add_settings(web, WebConfig, ("host", "port", "token"))
+    add_settings(web, WebConfig, ("host", "port", "token", "folder"))
     web.add_argument(
         "--foxglove",
         action="store_true",

@@ -111,6 +111,11 @@ def _add_uses(parser: argparse.ArgumentParser) -> None:
         "--web-token", metavar="TEXT", help="access token for pages on other machines (default: generated and printed)"
     )
     web.add_argument(
+        "--web-folder",
+        metavar="DIR",
+        help="folder of the page's recordings; the page lists what is below it: bags, reports of trials (default: out/web)",
+    )
+    web.add_argument(
         "--foxglove",
         action="store_true",
         help="serve the Foxglove WebSocket protocol, to this machine alone; needs `pip install foxglove-sdk`",
@@ -218,7 +223,7 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
 
 def _web_settings(args: argparse.Namespace) -> WebConfig:
     """Returns the settings of the page: the default port, or any free port if it is occupied."""
-    given = {"host": args.web_host, "port": args.web_port, "token": args.web_token}
+    given = {"host": args.web_host, "port": args.web_port, "token": args.web_token, "folder": args.web_folder}
     config = WebConfig(**{name: value for name, value in given.items() if value is not None})
     if args.web_port is None and not is_free(config.host, config.port):
         return replace(config, port=0)

@@ -88,6 +88,7 @@ class RenderStats:
         seconds = (now - last_ns) / NS_PER_S
         return {
             "images_per_s": (total - images) / seconds,
+            "due_per_s": (total - images + self.skipped - skipped) / seconds,
             "skipped": self.skipped - skipped,
             "failed": all_failed - failed,
             "draw_ms": self._draw_ms[-1] if self._draw_ms else 0.0,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import secrets
 import sys
 import time
 from collections.abc import Callable
+from datetime import datetime
 from functools import partial
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
@@ -32,6 +33,7 @@ from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.topics import names
 from gibson_sim.ros.web.child_nodes import Recorder
 from gibson_sim.ros.web.doors import Doors
+from gibson_sim.ros.web.entities import Entities
 from gibson_sim.ros.web.floor_maps import FloorMaps
 from gibson_sim.ros.web.plot_subscriptions import PlotSubscriptions, plottable
 from gibson_sim.ros.web.real_time_factor import RealTimeFactor
@@ -44,7 +46,8 @@ from gibson_sim.ros.web.video_subscriptions import VideoSubscriptions, image_top
 from gibson_sim.types import NS_PER_S, Pose
 from gibson_sim.web.curves import CurveName
 from gibson_sim.web.pages import Answer
-from gibson_sim.web.requests import Drive, Fields, Goal, Open, Plot, Record, Request, RunTask, Spawn
+from gibson_sim.web.recordings import Recordings
+from gibson_sim.web.requests import Drive, Fields, Goal, MoveJoint, Open, Plot, Record, Request, RunTask, Spawn
 from gibson_sim.web.server import LOOPBACK, PageServer
 from gibson_sim.web.videos import SCENE
 
@@ -64,11 +67,13 @@ class WebNode(Node):
     Publishes:
         <robot>/cmd_vel (geometry_msgs/Twist, or TwistStamped if all its subscribers use that): while a page drives.
         <robot>/goal_pose (geometry_msgs/PoseStamped), <robot>/initialpose (geometry_msgs/PoseWithCovarianceStamped): clicks on the map.
+        <robot>/joint_command (sensor_msgs/JointState): joints that a page moves.
         object_joint_command (sensor_msgs/JointState): doors and drawers that a page opens.
 
     Subscribes:
         image topics (sensor_msgs/Image, CompressedImage), while a page shows them; any topic, while a page plots it.
-        map, floor_N/map, /tf, /tf_static, /clock, /diagnostics, object_joint_states; for each robot odom, ground_truth/odom, scan, plan, amcl_pose;
+        map, floor_N/map, /tf, /tf_static, /clock, /diagnostics, object_joint_states; for each robot odom, ground_truth/odom, scan, plan, amcl_pose,
+        robot_description, joint_states;
         scene and scene_state while a page shows the scene in 3-D; the topics of ``TaskView``.
 
     On request of a page, it starts a record node and a task node, which end with it.
@@ -92,8 +97,6 @@ class WebNode(Node):
         self._tree = TransformTree()
         self._robots: dict[str, Robot] = {}
         """Namespace -> robot, sorted: a robot without a namespace is the first."""
-        self._places: dict[str, tuple[float, float, int]] = {}
-        """Entity -> x, y on the map, m, and the index of its floor."""
         self._image_topics: dict[str, str] = {}
         """Image topic -> type."""
         self._watched: frozenset[str] = frozenset()
@@ -104,17 +107,19 @@ class WebNode(Node):
         self._sent: dict[str, Any] = {}
         """Kind of rarely changing values -> values that pages received last."""
         self._simulation = SimulationClient(self)
-        self._recorder = Recorder()
+        self._recorder, self._recordings = Recorder(), Path(config.folder)
         self.subscribe(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
         self.subscribe(TFMessage, names.TF, self._on_tf, _MANY)
         self.subscribe(TFMessage, names.TF_STATIC, self._on_tf, _LATCHED_MANY)
         self.subscribe(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _MANY)
         token = "" if config.host in LOOPBACK else config.token or secrets.token_urlsafe(16)
-        self._server = PageServer(_Backend(self), config.host, config.port, token)
+        recordings = Recordings(self._recordings)
+        self._server = PageServer(_Backend(self), config.host, config.port, token, recordings=recordings)
         self._videos = VideoSubscriptions(self, self._server.send_image, partial(self._send_if_changed, "problems"))
         self._plots = PlotSubscriptions(self)
         self._doors = Doors(self)
         self._floors = FloorMaps(self, self._server)
+        self._entities = Entities(self, self._simulation, self._floors.floor_at)
         self._task = TaskView(self, self._simulation)
         self._scene = SceneStream(self, self._server)
         note_in_job(PAGE, self._server.url)
@@ -198,6 +203,11 @@ class WebNode(Node):
             self._plots.list_fields(request.topic, answer)
         elif isinstance(request, Open):
             self._doors.open(request, answer)
+        elif isinstance(request, MoveJoint):
+            robot = self._robot(request.robot)
+            answer(
+                *(robot.joints.move(request.joint, request.position) if robot is not None else (False, "the domain has no robot"))
+            )
         elif isinstance(request, Record):
             self._record(request, answer)
         elif isinstance(request, RunTask):
@@ -229,7 +239,8 @@ class WebNode(Node):
             answer(False, "a recording runs already")
         else:
             try:
-                folder = self._recorder.start(images=request.images)
+                folder = self._recordings / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+                self._recorder.start(images=request.images, folder=folder)
             except (GibsonSimError, OSError) as error:
                 answer(False, f"nothing is recorded: {error}")
             else:
@@ -284,7 +295,9 @@ class WebNode(Node):
         self._send_if_changed(
             "estimates", [{"floor": floor, **robot.estimate} for floor, robot in known if robot.estimate is not None]
         )
-        self._send_if_changed("doors", self._doors.page_values(self._places))
+        self._send_if_changed("doors", self._doors.page_values(self._entities.places))
+        joints = {name: rows for name, robot in self._robots.items() if (rows := robot.joints.page_values())}
+        self._send_if_changed("joints", joints)
         self._plots.end_listings()
         if self._plots.curves.names:
             now = time.monotonic()
@@ -333,8 +346,8 @@ class WebNode(Node):
                 self._simulation.get(service, request, partial(self._on_response, service, on_response))
         else:
             self._state = "connected"
-            self._places = {}
-            for kind in ("entities", "places", "catalogue"):
+            self._entities.clear()
+            for kind in ("entities", "places", "rooms", "catalogue"):
                 self._send_if_changed(kind, [])
         now = self.stamp()
         self._server.drop_stale_images(now.sec + now.nanosec / NS_PER_S)
@@ -369,16 +382,7 @@ class WebNode(Node):
         self._state = STATES.get(response.state.state, "unknown")
 
     def _on_entities(self, response: Any) -> None:
-        entities = []
-        self._places = {}
-        for name, state in zip(response.entities, response.states, strict=False):
-            p = state.pose.position
-            if math.isfinite(p.x + p.y + p.z):
-                floor = self._floors.floor_at(p.z)
-                self._places[name] = (p.x, p.y, floor)
-                is_robot = name in self._robots or name.rpartition("/")[2] == "robot"
-                entities.append({"name": name, "x": p.x, "y": p.y, "floor": floor, "robot": is_robot})
-        self._send_if_changed("entities", entities)
+        self._send_if_changed("entities", self._entities.values(response, self._robots))
 
     def _on_places(self, response: Any) -> None:
         places = [
@@ -386,6 +390,7 @@ class WebNode(Node):
             for place, p in ((place, place.pose.position) for place in response.poses)
         ]
         self._send_if_changed("places", places)
+        self._send_if_changed("rooms", self._entities.rooms(response))
 
     def _on_catalogue(self, response: Any) -> None:
         entries = [

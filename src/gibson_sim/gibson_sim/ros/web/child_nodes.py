@@ -8,7 +8,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,6 @@ from gibson_sim.bags.storage import RESERVE_FILE
 from gibson_sim.client_config import RecordConfig, TaskConfig
 from gibson_sim.processes.job_folder import VARIABLE as JOB_VARIABLE
 from gibson_sim.processes.node_process import PARENT_VARIABLE, command_of, end_node, node_arguments, start_node
-
-RECORDINGS = Path("out/web")
-"""Folder of all recordings that pages start, relative to the working directory of the server."""
-TIME_FORMAT = "%Y-%m-%d_%H-%M-%S"
-"""Format of names that are times."""
 
 
 class ChildNode:
@@ -72,10 +66,13 @@ class ChildNode:
 
 
 class Recorder:
-    """A recording that starts and ends on request, such as a page's: a record node."""
+    """A recording that starts and ends on request, such as a page's: a record node.
+
+    Args:
+        environment: environment of the node; None = that of this process.
+    """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
-        """``environment``: environment of the node; None = that of this process."""
         self._environment = environment
         self._child: ChildNode | None = None
         self._folder: Path | None = None
@@ -87,15 +84,13 @@ class Recorder:
         """Whether a recording runs."""
         return self._child is not None
 
-    def start(self, *, images: bool, folder: Path | None = None) -> str:
+    def start(self, *, images: bool, folder: Path) -> str:
         """Starts a recording of all topics; returns its folder.
 
         Args:
             images: whether to record images too, compressed.
-            folder: folder of the bag, which must not exist; None = one named by the time.
+            folder: folder of the bag, which must not exist.
         """
-        if folder is None:
-            folder = RECORDINGS / datetime.now().strftime(TIME_FORMAT)
         config = RecordConfig(output=str(folder), record_images="compressed" if images else "none", compression="zstd")
         self._child = ChildNode("record_node", config, self._environment)
         self._folder, self._start_s, self._error = folder, None, ""

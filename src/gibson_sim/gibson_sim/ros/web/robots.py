@@ -15,6 +15,7 @@ from sensor_msgs.msg import LaserScan
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.ros.client.requests import flat_pose
 from gibson_sim.ros.topics import names
+from gibson_sim.ros.web.robot_joints import RobotJoints
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.types import WORLD_FRAME, Pose
 from gibson_sim.web.requests import Drive, Goal
@@ -32,7 +33,7 @@ Points = list[tuple[float, float]]
 class GraphNode(Protocol):
     """The methods of a node that this package uses."""
 
-    def subscribe(self, kind: Any, topic: str, callback: Any, profile: Any) -> Any:
+    def subscribe(self, kind: Any, topic: str, callback: Any, profile: Any, *, raw: bool = False) -> Any:
         """Subscribes to a topic, and returns the subscription; messages that cannot be shown are skipped."""
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any) -> Any:
@@ -77,6 +78,8 @@ class Robot:
         self._scan: LaserScan | None = None
         self._stamped = False
         self._publishers: dict[str, Any] = {}
+        self.joints = RobotJoints(node, self._prefix)
+        """Its joints that a page shows and moves."""
         self._subscriptions = [
             node.subscribe(Odometry, self._prefix + names.ODOM, partial(setattr, self, "_odometry"), _NEWEST),
             node.subscribe(Odometry, self._prefix + names.GROUND_TRUTH, partial(setattr, self, "_truth"), _NEWEST),
@@ -87,6 +90,7 @@ class Robot:
 
     def close(self) -> None:
         """Destroys the subscriptions and publishers."""
+        self.joints.close()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         for publisher in self._publishers.values():

@@ -33,7 +33,12 @@ export function remembered(name, otherwise) {
 
 export function remember(name, value) { try { localStorage.setItem(name, JSON.stringify(value)); } catch { /* unavailable in private windows */ } }
 
+let listener = () => {};
+// Calls a function with the text of each note, and whether it is bad.
+export function onNote(call) { listener = call; }
+
 export function note(text, bad = false) {
+  listener(text, bad);
   const p = element('p', text, { className: bad ? 'bad' : '' });
   $('notes').append(p);
   while ($('notes').children.length > 4) $('notes').firstChild.remove();

@@ -12,11 +12,12 @@ export class Driving {
     this.send = send; this.onChange = onChange; this.speed = 0.4;
     this.keys = new Set(); this.stick = { x: 0, turn: 0 }; this.moving = false;
     addEventListener('keydown', (event) => {
-      const typing = event.target.closest && event.target.closest('input[type=text], input[type=number], textarea');
+      const typing = event.target.closest && event.target.closest('input[type=text], input[type=search], input[type=number], textarea');
       if (!(event.code in KEYS) || event.ctrlKey || event.metaKey || event.altKey || typing) return;
-      if (event.target.closest?.('select, input[type=range]')) { // arrows change the control; letters drive
+      if (document.querySelector('dialog[open]')) return;
+      if (event.target.closest?.('select, input[type=range], [data-keys]')) { // arrows change the control; letters drive
         if (event.code.startsWith('Arrow')) return;
-        event.target.blur();
+        if (event.target.closest('select')) event.target.blur();
       }
       event.preventDefault(); this.keys.add(event.code); if (!event.repeat) this.tick();
     });

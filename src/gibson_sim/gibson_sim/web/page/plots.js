@@ -3,7 +3,7 @@ import { $, element, note, remember, remembered } from './dom.js';
 
 const SPAN = 60; // seconds
 const MAX_CURVES = 16, MAX_IN_ONE = 4;
-const COLORS = ['--accent', '--curve-2', '--curve-3', '--curve-4'];
+const COLORS = ['--accent', '--curve-2', '--curve-3', '--curve-4'], DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]]; // told apart without colours, too
 
 // Returns ticks at round numbers, at intervals of a quarter of the range or more.
 export function ticks(low, high) {
@@ -25,14 +25,14 @@ const written = (value) => (value === null || value === undefined ? '–' : Math
 const keyOf = (curve) => `${curve.topic} ${curve.path}`;
 
 export class Plots {
-  constructor(send) {
-    this.send = send; this.plots = []; this.samples = new Map(); this.offset = null; this.fields = [];
+  constructor(send, isVisible) {
+    this.send = send; this.isVisible = isVisible; this.plots = []; this.samples = new Map(); this.offset = null; this.fields = [];
     $('plot-topic').onchange = () => this.list();
     $('plot-new').onclick = () => this.add(false);
     $('plot-over').onclick = () => this.add(true);
     for (const curves of remembered('plots', [])) if (Array.isArray(curves)) this.plots.push(this.make(curves));
     new ResizeObserver(() => this.draw()).observe($('plot-list'));
-    setInterval(() => { if (!document.hidden && !$('plot-card').hidden) this.draw(); }, 200);
+    setInterval(() => { if (!document.hidden && this.isVisible()) this.draw(); }, 200);
   }
 
   setTopics(topics) {
@@ -89,7 +89,7 @@ export class Plots {
     plot.values = plot.curves.map(() => element('b'));
     plot.head.replaceChildren(...plot.curves.map((c, k) => {
       const span = element('span', '', { title: `${c.topic} ${c.path}` }), mark = element('i');
-      mark.style.background = `var(${COLORS[k]})`;
+      mark.style.background = k ? `repeating-linear-gradient(90deg, var(${COLORS[k]}) 0 ${DASHES[k][0]}px, transparent 0 ${DASHES[k][0] + DASHES[k][1]}px)` : `var(${COLORS[k]})`;
       span.append(mark, `${c.topic.replace(/^\//, '')} ${c.label ? `${c.path.replace(/\[\d+\].*/, '')} ${c.label}` : c.path} `, plot.values[k], ` ${c.unit}`);
       return span;
     }), close);
@@ -104,7 +104,7 @@ export class Plots {
 
   // Sends the plotted curves to the server: none while the plots are closed.
   subscribe() {
-    const open = !$('plot-card').hidden && !document.hidden;
+    const open = this.isVisible() && !document.hidden;
     $('plot-empty').hidden = this.plots.length > 0;
     this.send('plot', { curves: open ? this.curves.map((c) => [c.topic, c.path]) : [] });
   }
@@ -152,14 +152,14 @@ export class Plots {
     for (const age of [60, 40, 20]) c.fillText(`−${age} s`, Math.max(x(now - age), left + 14), h - 7);
     c.textAlign = 'right'; c.fillText('now', w - 4, h - 7);
     lines.forEach((line, k) => {
-      c.strokeStyle = color(COLORS[k]); c.lineWidth = 1.6; c.lineJoin = 'round'; c.beginPath();
+      c.strokeStyle = color(COLORS[k]); c.lineWidth = 1.6; c.lineJoin = 'round'; c.setLineDash(DASHES[k]); c.beginPath();
       let up = true;
       for (const [t, v] of line) {
         if (t < now - SPAN) continue;
         if (v === null) { up = true; continue; }
         up ? c.moveTo(x(t), y(v)) : c.lineTo(x(t), y(v)); up = false;
       }
-      c.stroke();
+      c.stroke(); c.setLineDash([]);
     });
   }
 }
