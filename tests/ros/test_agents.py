@@ -157,6 +157,15 @@ def test_pictures_show_the_scene_and_what_was_spawned(running: Agent) -> None:
     assert list(running.ask("get_entities")["entities"]) == ["robot"]
 
 
+def test_doors_open_and_close(running: Agent) -> None:
+    running.ask("reset")
+    assert running.ask("list_names", kind="doors")["doors"] == {}
+    running.ask("spawn", model="fridge_body", x=3.0, y=4.7, yaw=3.14, name="fridge")
+    assert running.ask("list_names", kind="doors")["doors"] == {"fridge/door": pytest.approx(0.0, abs=0.02)}
+    for opening in (0.5, 0.0):
+        assert running.ask("open_door", door="fridge/door", opening=opening)["opening"] == pytest.approx(opening, abs=0.05)
+
+
 def test_topics_are_read_and_recorded(running: Agent) -> None:
     running.ask("reset")
     scan = running.result("read_topic", topic="scan")
@@ -221,7 +230,8 @@ def test_hostile_calls_are_one_line_each(running: Agent, name: str, arguments: d
 def test_a_paused_simulation_says_what_to_do(running: Agent) -> None:
     running.ask("reset")
     assert running.ask("pause")["paused"]
-    assert "call pause with paused false first" in running.error("get_image")
+    assert "call pause with paused false first" in running.error("drive", seconds=1.0)
+    assert running.look().std() > 20
     begin = running.ask("get_state")["time_s"]
     assert running.ask("step", seconds=0.1)["time_s"] == pytest.approx(begin + 0.1, abs=0.005)
     assert not running.ask("pause", paused=False)["paused"]

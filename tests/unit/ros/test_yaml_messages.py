@@ -34,6 +34,21 @@ def test_a_message_is_one_field_a_line() -> None:
     )
 
 
+def test_arrays_can_be_in_one_line() -> None:
+    joints = fill(JointState(), {"name": ["a", "b c"], "position": [1, 2.5]})
+    assert yaml_text(joints, inline=True).splitlines()[-4:] == [
+        "name: [a, b c]",
+        "position: [1.0, 2.5]",
+        "velocity: []",
+        "effort: []",
+    ]
+    assert yaml.safe_load(yaml_text(joints, inline=True))["name"] == ["a", "b c"]
+    scan = LaserScan(ranges=[1.0] * (SHORT + 5))
+    assert yaml_text(scan, inline=True).endswith(f"ranges: [{', '.join(['1.0'] * SHORT)}, ...]\nintensities: []\n")
+    transforms = fill(TFMessage(), {"transforms": [{"child_frame_id": "x"}, {}]})
+    assert yaml.safe_load(yaml_text(transforms, inline=True)) == yaml.safe_load(yaml_text(transforms))
+
+
 def test_what_is_printed_is_yaml_that_fills_the_same_message() -> None:
     given = {"transforms": [{"child_frame_id": "it's", "transform": {"rotation": {"w": 0.5}}}, {"header": {"frame_id": "a: b"}}]}
     message = fill(TFMessage(), given)

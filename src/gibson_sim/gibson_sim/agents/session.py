@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 _IMAGE_S = 2.0
 """Longest time until a camera sends an image, s of simulation time."""
+_LOOKS, _LOOK_S, _ARRIVES_S = 5, 1 / 30, 0.5
+"""Greatest number of steps that a look at a paused simulation takes, the length of each, s of simulation time, and the time in which an image
+arrives after one, s of wall time."""
 _RECORDER = "record"
 """Name of the recorder's node."""
 _RECORDER_S = 30.0
@@ -238,13 +241,20 @@ class AgentSession:
         if tool.output not in cameras[tool.camera]:
             raise ConfigError(f"camera {tool.camera} has no {tool.output}, but: {', '.join(sorted(cameras[tool.camera]))}")
         topic = cameras[tool.camera][tool.output]
-        _refuse_paused(simulation)
         simulation.subscribe(topic)
         begin_ns = round(simulation.time * 1e9)
 
         def newest() -> Sequence[Any]:
             return [msg for msg in simulation.messages(topic)[-1:] if conversions.time_from_msg(msg.header.stamp) >= begin_ns]
 
+        for _ in range(_LOOKS if simulation.is_paused else 0):
+            simulation.step(_LOOK_S)
+            if _wait(lambda: bool(newest()), _ARRIVES_S):
+                break
+        if simulation.is_paused and not newest():
+            raise GibsonSimError(
+                f"no image arrived on {topic} while the simulation is paused: call pause with paused false first"
+            )
         (message,) = simulation.wait_until(newest, _IMAGE_S, what=f"an image on {topic}")
         png, found = picture(conversions.array_from_image(message), tool.width)
         stamp_s = round(conversions.time_from_msg(message.header.stamp) / 1e9, 4)

@@ -21,6 +21,7 @@ from gibson_sim.testing.settings import PARTICIPANT, SimulationSettings
 if TYPE_CHECKING:
     from gibson_sim.ros.client.client import Client, RobotPose
     from gibson_sim.ros.client.collisions import Collision
+    from gibson_sim.standard.openings import JointOpening
 
 __tracebackhide__ = True
 """pytest shows the line of the test instead of lines of this module; ``--full-trace`` shows all."""
@@ -33,7 +34,7 @@ _OCCUPIED = 50
 _MAX_DOORS = 10
 """Number of doors that a message lists."""
 _DOOR_STATE_S = 0.2
-"""Time within which the state of doors is published, s of simulation time."""
+"""Longest time until the state of doors is published, s of simulation time."""
 _MAX_COLLISIONS = 5
 """Number of collisions that a message lists."""
 
@@ -374,8 +375,21 @@ class HeadlessSimulation:
     # Doors
 
     def doors(self) -> dict[str, float]:
-        """Returns the opening of each door and drawer by name, ``<body>/<joint>``: 0 = closed, 1 = fully open."""
-        return {name: joint.opening for name, joint in self._running_client.openings().items()}
+        """Returns the opening of each door and drawer by name, ``<body>/<joint>``: 0 = closed, 1 = fully open.
+
+        Unless it is paused, time advances until the simulation has published them, up to 0.1 s.
+        """
+        return {name: joint.opening for name, joint in self._openings().items()}
+
+    def _openings(self) -> Mapping[str, JointOpening]:
+        """Returns the present state of doors and drawers."""
+        client = self._running_client
+        begin = self.time
+        while True:
+            stamp, openings = client.openings()
+            if stamp > begin or client.is_paused or client.now > begin + _DOOR_STATE_S:
+                return openings
+            client.next_tick()
 
     def open_door(self, name: str, opening: float = 1.0) -> None:
         """Moves a door or drawer while time advances, and releases it, so that it swings freely.
@@ -388,7 +402,7 @@ class HeadlessSimulation:
             WaitError: the door is blocked; the message has its opening.
         """
         client = self._running_client
-        doors = client.openings()
+        doors: Mapping[str, JointOpening] = self._openings()
         if name not in doors:
             known = f"; it has: {enumerated(sorted(doors), _MAX_DOORS)}" if doors else ", which has none"
             raise ConfigError(f"{quoted(name)} is not a door or drawer of this simulation{known}")
@@ -398,12 +412,12 @@ class HeadlessSimulation:
         begin, arrived = self.time, False
         while not arrived and client.now < begin + BLOCKED_S:
             client.next_tick()
-            # Until then the latest state may be older than the command.
-            arrived = client.now > begin + _DOOR_STATE_S and client.openings()[name].has_reached(opening)
+            stamp, doors = client.openings()
+            arrived = stamp > begin and doors[name].has_reached(opening)
         client.move_joint(name, None)
         client.next_tick()
         if not arrived:
-            reached = 100.0 * client.openings()[name].opening
+            reached = 100.0 * doors[name].opening
             raise WaitError(f"{name} is blocked: it is {reached:.0f} % open after {BLOCKED_S:g} s; {self.summary()}")
 
     # Topics

@@ -593,15 +593,20 @@ class Client:
 
     # Doors
 
-    def openings(self) -> dict[str, JointOpening]:
-        """Returns the latest state of each door and drawer by name, ``<body>/<joint>``; subscribes to it. Empty = there are none."""
+    def openings(self) -> tuple[float, dict[str, JointOpening]]:
+        """Returns the latest known state of each door and drawer by name, ``<body>/<joint>``, and its time, s; subscribes to it.
+
+        The simulation publishes it at 10 Hz from the first subscription on, and at changes of the scene.
+        """
         name = self.resolve(names.OBJECT_JOINT_STATES)
         if name not in self._subscribed and name not in self.topics():
-            return {}
+            return math.inf, {}
         self.subscribe(name)
         messages = self._subscribed[name].messages
         self._settle(lambda: bool(messages))  # it is latched
-        return joint_openings(conversions.joint_values(messages[-1])) if messages else {}
+        if not messages:
+            return -math.inf, {}
+        return _stamp_ns(messages[-1]) / NS_PER_S, joint_openings(conversions.joint_values(messages[-1]))
 
     def move_joint(self, joint: str, position: float | None) -> None:
         """Commands the position of a joint of a body, rad or m, with the next step; None = it swings freely."""
