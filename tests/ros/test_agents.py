@@ -184,6 +184,14 @@ def test_topics_are_read_and_recorded(running: Agent) -> None:
     assert "already exists" in running.error("start_recording", folder="bags/one")
 
 
+def test_a_trial_that_cannot_run_is_one_line(agent: Agent) -> None:
+    (agent.folder / "bad.yaml").write_text("scenes: nowhere")
+    error = agent.error("run_trial", file="bad.yaml")
+    assert "the trial has no results" in error
+    assert "'nowhere'" in error
+    assert agent.ask("get_state")["trial"]["trial"] == "failed"
+
+
 def test_a_trial_has_its_verdict(agent: Agent) -> None:
     status = agent.ask("run_trial", file="trial.yaml")
     while status["trial"] == "running":

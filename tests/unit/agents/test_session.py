@@ -19,6 +19,7 @@ class Dying:
 
     log = "physics  | [INFO] loaded\nphysics  | Fatal Python error: Segmentation fault"
     closed = 0
+    is_usable = False
 
     def __init__(self, **settings: Any) -> None:
         self.given = settings

@@ -85,9 +85,11 @@ class AgentSession:
         """
         tool = tools.parse_call(name, given)
         try:
-            found = self._methods[name](tool)
-            if self._simulation is not None:
-                self._simulation.unsubscribe()  # a topic without subscribers costs nothing
+            try:
+                found = self._methods[name](tool)
+            finally:
+                if self._simulation is not None and self._simulation.is_usable:
+                    self._simulation.unsubscribe()  # a topic without subscribers costs nothing
         except SimulationEndedError as error:
             raise self._report_end(error) from error
         return found if isinstance(found, Answer) else Answer(json.dumps(found, ensure_ascii=False))
@@ -122,6 +124,8 @@ class AgentSession:
     # The simulation
 
     def _start_simulation(self, tool: tools.StartSimulation) -> dict[str, Any]:
+        if self._simulation is not None and not self._simulation.is_usable:
+            self._stop()  # it has ended by itself
         if self._simulation is not None:
             raise ConfigError(
                 f"a simulation of {self._simulation.settings.physics.scene} runs already: call stop_simulation first, or reset"
@@ -168,7 +172,7 @@ class AgentSession:
         if self._recorder is not None:
             found["recording"] = self._recorder.page_values()
         if self._trial is not None:
-            found["trial"] = self._trial.status()
+            found["trial"] = self._trial.summary()
         return found
 
     def _state(self) -> dict[str, Any]:
@@ -420,6 +424,13 @@ class _TrialRun:
     def stop(self) -> None:
         """Stops it; the results so far are kept."""
         self._program.stop()
+
+    def summary(self) -> dict[str, Any]:
+        """Returns its status, or why it failed."""
+        try:
+            return self.status()
+        except GibsonSimError as error:
+            return {"trial": "failed", "error": str(error)}
 
     def status(self) -> dict[str, Any]:
         """Returns its verdict, or its progress.
