@@ -15,7 +15,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 .DEFAULT_GOAL := help
 
 help:
-	@echo 'make setup              make the environment $(VENV); PYTHON=python3.12 chooses the interpreter (3.10 to 3.12)'
+	@echo 'make setup              make the environment $(VENV); PYTHON=python3.12 chooses the interpreter (3.10 to 3.13)'
 	@echo 'make run ARGS="..."     set up, then gibson-sim run ...'
 	@echo 'make test               set up, then all tests; PYTEST_ARGS="-k name" chooses some'
 	@echo 'make check              what a change must pass: lint, then all tests; none skipped for what this machine has'

@@ -2,7 +2,8 @@
 """Creates the virtual environment in which Gibson Sim runs: ROS 2 Jazzy, PyBullet, the message packages and Gibson Sim itself.
 
 `make setup` calls this program, which uses the standard library alone. Each step leaves a stamp in the environment with a digest
-of its inputs, so a second run finds nothing to do. An error is one line that begins with "error:".
+of its inputs, so a second run finds nothing to do. What takes long is kept in the user's cache: packages (by uv), the message packages and
+compiled loops, each by a digest of what it is made from, so a second clone needs seconds. An error is one line that begins with "error:".
 """
 
 from __future__ import annotations
@@ -45,11 +46,27 @@ PYTHON_ONLY = ROOT / "ros_ws" / "src" / "compat" / "python_only"
 SHARED = ("config", "launch/*", "package.xml", "scenes")
 """Parts of a project that are linked into its share folder. `ros2 launch` searches there for files, but not in linked folders."""
 
-SUPPORTED = ((3, 10), (3, 11), (3, 12))
-BUILD_TOOLS = ("numpy", "packaging", "setuptools", "wheel")
-"""Packages that pip needs to build source packages. PyBullet is built with NumPy support because NumPy is among them."""
-COMPILED_PYBULLET = (3, 12)
-"""First Python without a PyBullet wheel."""
+SUPPORTED = ((3, 10), (3, 11), (3, 12), (3, 13))
+BUILD_TOOLS = ("packaging", "setuptools", "wheel")
+"""Packages that pip needs to build source packages, without build isolation."""
+MESSAGE_TOOLS = ("numpy", "python-dateutil", "pyyaml", "six", "typing-extensions")
+"""Packages that the message packages are built with, besides those of ``MESSAGE_SECTIONS``."""
+MESSAGE_SECTIONS = ("ROS 2 Jazzy", "Building the message packages")
+"""Sections of constraints.txt with which the message packages are built."""
+MESSAGE_FLAGS = ("-O1",)
+"""Flags of the compiler for the message packages."""
+PREFIX = "@prefix@"
+"""Stands in kept builds for the folder into which they are installed."""
+NAMING_PREFIX = (".cmake", ".sh", ".bash", ".zsh", ".py", ".dsv", ".pc")
+"""Suffixes of installed files that may name that folder."""
+BUILT = "gibson_setup/messages.txt"
+"""File that a finished build has, below the folder where it is installed."""
+MANIFESTS = "gibson_setup/messages"
+"""Folder, below the same, with a list of installed files for each message package."""
+PIP = ("--disable-pip-version-check", "--no-compile")
+"""Options of pip. Python compiles a module when it is first imported, which few of them are."""
+KEPT_BUILDS = 4
+"""Builds of the message packages that the user's cache keeps, the most recently used ones."""
 
 FOREIGN = (
     "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV",
@@ -123,33 +140,54 @@ class SetupError(Exception):
     """A failure of the set-up, with its remedy, in one line."""
 
 
+_running: dict[str, float] = {}
+"""The steps under way -> when they began, in seconds of the monotonic clock."""
+_output = threading.Lock()
+CLEAR_LINE = "\r\x1b[K"
+"""Returns to the start of the line of a terminal and clears it."""
+
+
 def say(text: str) -> None:
     """Prints a line unbuffered, in order with the output of other programs."""
-    print(f"gibson-sim setup: {text}", flush=True)
+    with _output:
+        print(f"{CLEAR_LINE if sys.stdout.isatty() else ''}gibson-sim setup: {text}", flush=True)
 
 
 @contextlib.contextmanager
-def step(text: str) -> Iterator[None]:
-    """Says what the block does and how long it took; on a terminal, its seconds are counted while it runs."""
-    began, live, done = time.monotonic(), sys.stdout.isatty(), threading.Event()
+def counted_steps() -> Iterator[None]:
+    """Counts the seconds of the steps under way in the last line of a terminal; elsewhere does nothing."""
+    done = threading.Event()
 
     def count() -> None:
         while not done.wait(1.0):
-            print(f"\rgibson-sim setup: {text} ... {time.monotonic() - began:.0f} s", end="", flush=True)
+            with _output:
+                now = time.monotonic()
+                texts = [f"{text} ... {now - began:.0f} s" for text, began in list(_running.items())]
+                line = f"gibson-sim setup: {'; '.join(texts)}"[: shutil.get_terminal_size().columns - 1]
+                print(f"{CLEAR_LINE}{line if texts else ''}", end="", flush=True)
 
     counter = threading.Thread(target=count, daemon=True)
-    if live:
-        print(f"gibson-sim setup: {text} ...", end="", flush=True)
+    if sys.stdout.isatty():
         counter.start()
-    else:
-        say(f"{text} ...")
     try:
         yield
     finally:
         done.set()
-        if live:
+        if counter.ident:
             counter.join()
-            print("\r\x1b[K", end="")
+            print(CLEAR_LINE, end="", flush=True)
+
+
+@contextlib.contextmanager
+def step(text: str) -> Iterator[None]:
+    """Says what the block does and, if it succeeds, how long it took. Steps may run side by side."""
+    began = _running[text] = time.monotonic()
+    if not sys.stdout.isatty():
+        say(f"{text} ...")
+    try:
+        yield
+    finally:
+        del _running[text]
     say(f"{text}: {time.monotonic() - began:.0f} s")
 
 
@@ -254,7 +292,7 @@ class Stamp:
 
 
 def make_venv(venv: Path) -> None:
-    """Creates the environment; replaces one of another Python, another folder or an interrupted set-up."""
+    """Creates the environment, without pip; replaces one of another Python, another folder or an interrupted set-up."""
     stamp = Stamp(venv, "venv", digest([], str(venv)))
     if stamp.fresh() and (venv / "bin" / "python").exists():
         return
@@ -265,13 +303,24 @@ def make_venv(venv: Path) -> None:
         shutil.rmtree(venv)
     with step(f"making {venv} with Python {platform.python_version()}"):
         stamp.file.parent.mkdir(parents=True)
-        run([PYTHON, "-m", "venv", str(venv)], venv, venv / "gibson_setup" / "venv.log")
+        run([PYTHON, "-m", "venv", "--without-pip", str(venv)], venv, venv / "gibson_setup" / "venv.log")
     stamp.write()
 
 
+def sections() -> dict[str, list[str]]:
+    """Returns the packages of constraints.txt, each with its version, by the headings above them; the installer selects those for this Python."""
+    found: dict[str, list[str]] = {}
+    for line in CONSTRAINTS.read_text().splitlines():
+        if line.startswith("# "):
+            packages = found.setdefault(line[2:], [])
+        elif line:
+            packages.append(line)
+    return {heading: packages for heading, packages in found.items() if packages}
+
+
 def pins() -> list[str]:
-    """Returns all packages of constraints.txt; pip selects those for this Python."""
-    return [line for line in CONSTRAINTS.read_text().splitlines() if line and not line.startswith("#")]
+    """Returns all packages of constraints.txt."""
+    return [line for packages in sections().values() for line in packages]
 
 
 def pinned(*names: str) -> list[str]:
@@ -279,54 +328,146 @@ def pinned(*names: str) -> list[str]:
     return [line for line in pins() if line.partition("==")[0] in names]
 
 
-def pip(venv: Path, log: str, action: str, *arguments: str) -> None:
-    """Runs a pip command in the environment: exact versions, no dependency resolution, no build isolation."""
-    command = [str(venv / "bin" / "python"), "-m", "pip", action]
-    command += ["--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
-    run([*command, *arguments], venv, venv / "gibson_setup" / f"{log}.log")
+def user_cache() -> Path:
+    """Returns the folder in the user's cache where builds are kept for other environments."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gibson-sim"
 
 
-def pybullet_wheels(venv: Path) -> Path:
-    """Returns a folder with a PyBullet wheel for this Python; compiles one unless an earlier set-up has."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gibson-sim" / "wheels"
-    tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    (requirement,) = pinned("pybullet")
-    if list(cache.glob(f"{requirement.replace('==', '-')}-{tag}-{tag}-*{platform.machine()}.whl")):
-        say(f"PyBullet: using the wheel of an earlier set-up, in {cache}")
-        return cache
-    folder = venv / "gibson_setup" / "wheels"
-    version = f"{sys.version_info.major}.{sys.version_info.minor}"
-    with step(f"compiling PyBullet, which has no wheel for Python {version} (3 to 5 minutes, once per machine)"):
-        pip(venv, "pybullet", "wheel", "--wheel-dir", str(folder), requirement)
+def pip_settings() -> dict[str, list[str]]:
+    """Returns pip's settings about package indexes, from its files and variables: "index-url", "extra-index-url", "find-links"... -> values."""
+    config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+    folders = [Path(folder) for folder in os.environ.get("XDG_CONFIG_DIRS", "/etc/xdg").split(":")]
+    files = [*(folder / "pip" / "pip.conf" for folder in folders), Path("/etc/pip.conf")]
+    files += [Path.home() / ".pip" / "pip.conf", config / "pip" / "pip.conf"]
+    if "PIP_CONFIG_FILE" in os.environ:
+        files.append(Path(os.environ["PIP_CONFIG_FILE"]))
+    parser = configparser.RawConfigParser(strict=False)
+    with contextlib.suppress(configparser.Error, UnicodeDecodeError):
+        parser.read(files)
+    values = {name: value for section in ("global", "install") if section in parser for name, value in parser[section].items()}
+    values |= {name[4:].lower().replace("_", "-"): value for name, value in os.environ.items() if name.startswith("PIP_")}
+    return {name: value.split() for name, value in values.items()}
+
+
+def uv_arguments() -> list[str]:
+    """Returns the options of uv that stand for pip's settings about package indexes: uv reads neither pip's files nor its variables."""
+    settings, arguments = pip_settings(), []
+    for name, option in (
+        ("index-url", "--default-index"),
+        ("extra-index-url", "--index"),
+        ("find-links", "--find-links"),
+        ("trusted-host", "--allow-insecure-host"),
+    ):
+        arguments += [part for value in settings.get(name, ()) for part in (option, value)]
+    return [*arguments, "--no-index"] if settings.get("no-index", ["0"])[0].lower() in ("1", "true", "yes", "on") else arguments
+
+
+def uv_environment() -> dict[str, str]:
+    """Returns the environment variables of uv that stand for pip's settings about certificates and proxies."""
+    settings = pip_settings()
+    names = {"cert": ("SSL_CERT_FILE",), "proxy": ("HTTP_PROXY", "HTTPS_PROXY")}
+    return {
+        name: settings[key][0]
+        for key, variables in names.items()
+        if settings.get(key)
+        for name in variables
+        if name not in os.environ
+    }
+
+
+def uv(venv: Path) -> Path | None:
+    """Returns the program uv, which installs packages several times as fast as pip; fetches it unless an earlier set-up has."""
+    (requirement,) = pinned("uv")
+    tag = f"{platform.system().lower()}-{platform.machine()}-{'-'.join(platform.libc_ver()).strip('-')}"
+    for folder in (user_cache() / requirement.replace("==", "-") / tag, venv / "gibson_setup" / "uv"):
+        program = folder / "bin" / "uv"
+        if program.is_file() or fetch_uv(venv, requirement, folder):
+            return program
+    say("uv cannot be had, see above: pip installs the packages, which takes longer")
+    return None
+
+
+def fetch_uv(venv: Path, requirement: str, folder: Path) -> bool:
+    """Installs uv into a folder of its own. Returns whether that succeeded."""
+    ensure_pip(venv)
+    partial = folder.with_name(f".{folder.name}.{os.getpid()}")
     try:
-        cache.mkdir(parents=True, exist_ok=True)
-        for wheel in folder.glob("*.whl"):
-            partial = cache / f".{wheel.name}.{os.getpid()}"
-            shutil.copyfile(wheel, partial)
-            partial.replace(cache / wheel.name)
-    except OSError as error:
-        say(f"PyBullet: the wheel is not kept for other environments: {error}")
-    return folder
+        run(
+            [str(venv / "bin" / "python"), "-m", "pip", "install", *PIP, "--no-deps", "--target", str(partial), requirement],
+            venv,
+            venv / "gibson_setup" / "uv.log",
+        )
+        partial.replace(folder)
+    except (SetupError, OSError) as error:
+        say(str(error))
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return (folder / "bin" / "uv").is_file()
+
+
+def ensure_pip(venv: Path) -> None:
+    """Puts pip into the environment, without a download."""
+    if not (venv / "bin" / "pip").exists():
+        run([str(venv / "bin" / "python"), "-m", "ensurepip", "--default-pip"], venv, venv / "gibson_setup" / "ensurepip.log")
+
+
+def install(venv: Path, log: str, *packages: str) -> None:
+    """Installs packages: exact versions, no dependency resolution, no build isolation. By uv, or by pip where uv fails.
+
+    Args:
+        venv: the environment.
+        log: name of the log in the environment's folder gibson_setup.
+        packages: requirements and options that uv and pip share.
+    """
+    options = ["--no-deps", "--no-build-isolation"]
+    file = venv / "gibson_setup" / f"{log}.log"
+    if program := uv(venv):
+        # pip takes the newest version of all indexes, uv by default that of the first index that has the package.
+        command = [
+            str(program),
+            "pip",
+            "install",
+            "--python",
+            str(venv / "bin" / "python"),
+            "--index-strategy",
+            "unsafe-best-match",
+        ]
+        try:
+            run([*command, *uv_arguments(), *options, *packages], venv, file, uv_environment())
+            return
+        except SetupError as error:
+            say(f"{error}; trying pip")
+    ensure_pip(venv)
+    run([str(venv / "bin" / "python"), "-m", "pip", "install", *PIP, *options, *packages], venv, file)
+
+
+def message_packages() -> list[str]:
+    """Returns the lines of constraints.txt with which the message packages are built."""
+    found = sections()
+    return [*pinned(*MESSAGE_TOOLS), *(line for heading in MESSAGE_SECTIONS for line in found[heading])]
+
+
+def install_message_tools(venv: Path, key: str) -> bool:
+    """Installs what the message packages are built with. Returns whether there was something to do."""
+    stamp = Stamp(venv, "message_tools", key)
+    if stamp.fresh():
+        return False
+    with step("installing ROS 2 Jazzy and the build tools"):
+        install(venv, "build_tools", *pinned(*BUILD_TOOLS))
+        install(venv, "ros", *message_packages())
+        point_exports_here(venv)
+    stamp.write()
+    return True
 
 
 def install_packages(venv: Path, key: str) -> bool:
-    """Installs all packages of constraints.txt. Returns whether there was something to do."""
+    """Installs all other packages of constraints.txt. Returns whether there was something to do."""
     stamp = Stamp(venv, "packages", key)
     if stamp.fresh():
         return False
-    find = []
-    with step("installing the build tools"):
-        pip(venv, "build_tools", "install", *pinned(*BUILD_TOOLS))
-    if sys.version_info[:2] >= COMPILED_PYBULLET:
-        find = ["--find-links", str(pybullet_wheels(venv))]
-    ros = [line for line in pins() if line.startswith("ros-")]
-    others = [line for line in pins() if line not in ros]
-    # Neither group shares a file with the other or depends on it: both install in parallel.
-    with step("installing the packages of constraints.txt (about a minute)"), ThreadPoolExecutor() as pool:
-        both = [("ros", "install", *ros), ("packages", "install", *find, *others)]
-        for installed in [pool.submit(pip, venv, *arguments) for arguments in both]:
-            installed.result()
-        point_exports_here(venv)
+    before = {*message_packages(), *pinned(*BUILD_TOOLS)}
+    with step("installing the other packages of constraints.txt"):
+        install(venv, "packages", *(line for line in pins() if line not in before))
     stamp.write()
     return True
 
@@ -343,37 +484,93 @@ def point_exports_here(venv: Path) -> None:
         new = re.sub(r"/opt/python/[^/;\"]+/include/python3\.\d+", python_include, old)
         new = re.sub(r"/opt/python/[^;\"]+/numpy/_core/include", numpy_include, new)
         if new != old:
+            file.unlink()  # it may be a link to a file in uv's cache, which other environments share
             file.write_text(new)
 
 
-def built_on(venv: Path) -> str:
-    """Returns a hash of the build dependencies of the message packages: a change rebuilds all of them."""
-    return digest([PYTHON_ONLY], str(venv), *(line for line in pins() if line.startswith(("numpy==", "ros-"))))
+def messages_key(*texts: str) -> str:
+    """Returns a hash of all that the message packages are built from."""
+    packages = (line for line in pins() if line.startswith(("numpy==", "ros-")))
+    return digest(INTERFACES, *MESSAGE_FLAGS, platform.machine(), *platform.libc_ver(), *packages, *texts)
 
 
-def build_interfaces(venv: Path, key: str) -> bool:
-    """Builds the message packages with colcon, into the environment itself. Returns whether there was something to do."""
-    stamp, below = Stamp(venv, "interfaces", key), Stamp(venv, "built_on", built_on(venv))
+def install_messages(venv: Path) -> bool:
+    """Copies the message packages into the environment, built before or now. Returns whether there was something to do."""
+    key = messages_key()
+    stamp = Stamp(venv, "interfaces", messages_key(str(venv)))
     if stamp.fresh():
         return False
-    if not below.fresh():
-        shutil.rmtree(venv / "ros_build", ignore_errors=True)
-        below.write()
+    kept = user_cache() / "messages" / key
+    if (kept / BUILT).is_file():
+        say(f"messages: taking those that were built before, in {kept}")
+        os.utime(kept)
+    else:
+        kept = keep_messages(build_messages(venv, key), kept)
+    for manifest in (venv / MANIFESTS).glob("*.txt"):
+        for line in manifest.read_text().splitlines():
+            (venv / line).unlink(missing_ok=True)
+    for source in sorted(path for path in kept.rglob("*") if not path.is_dir()):
+        target = venv / source.relative_to(kept)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.unlink(missing_ok=True)
+        if source.suffix in NAMING_PREFIX:
+            target.write_text(source.read_text().replace(PREFIX, str(venv)))
+        else:
+            shutil.copy2(source, target, follow_symlinks=False)
+    stamp.write()
+    return True
+
+
+def build_messages(venv: Path, key: str) -> Path:
+    """Builds the message packages with colcon. Returns the folder where they are installed; its files name it by ``PREFIX``."""
     python, base = venv / "bin" / "python", venv / "ros_build"
+    stamp = Stamp(venv, "built_on", digest([], str(venv), *(line for line in pins() if line.startswith(("numpy==", "ros-")))))
+    if not stamp.fresh():
+        shutil.rmtree(base, ignore_errors=True)
+    prefix = base / "install"
+    shutil.rmtree(prefix, ignore_errors=True)
     command = [str(python), "-m", "colcon", "--log-base", str(base / "log"), "build", "--base-paths", *map(str, INTERFACES)]
-    command += ["--merge-install", "--install-base", str(venv), "--build-base", str(base / "build")]
+    command += ["--merge-install", "--install-base", str(prefix), "--build-base", str(base / "build")]
     command += ["--cmake-args", "-G", "Ninja"]
     command += [f"-DPython3_EXECUTABLE={python}", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "--no-warn-unused-cli"]
-    flags = f'-O1 "-ffile-prefix-map={base / "build"}=."'  # no folder of this machine in the libraries, which become wheels
+    # no folder of this machine in the libraries, which become wheels
+    flags = f'{" ".join(MESSAGE_FLAGS)} "-ffile-prefix-map={base / "build"}=."'
     command += [f"-Drosidl_default_generators_DIR={PYTHON_ONLY}"]
     command += [f"-DCMAKE_C_FLAGS_RELEASE={flags}", f"-DCMAKE_CXX_FLAGS_RELEASE={flags}"]
     # Both variables together start one compiler per core: on a busy machine colcon would start fewer.
     jobs = {"MAKEFLAGS": f"-j{os.cpu_count()}", "CMAKE_BUILD_PARALLEL_LEVEL": str(os.cpu_count())}
     extra = {"AMENT_PREFIX_PATH": str(venv), "CMAKE_PREFIX_PATH": str(venv), "COLCON_HOME": str(base / "home"), **jobs}
-    with step("building the message packages with colcon (a minute or two the first time)"):
+    with step("building the message packages (half a minute to a minute, once per machine)"):
         run(command, venv, venv / "gibson_setup" / "interfaces.log", extra)
     stamp.write()
-    return True
+    for package in (base / "build").glob("*/install_manifest.txt"):
+        files = [str(Path(line).relative_to(prefix)) for line in package.read_text().splitlines()]
+        manifest = prefix / MANIFESTS / f"{package.parent.name}.txt"
+        manifest.parent.mkdir(parents=True, exist_ok=True)
+        manifest.write_text("\n".join(sorted(files)) + "\n")
+    for file in prefix.rglob("*"):
+        if file.suffix in NAMING_PREFIX and file.is_file():
+            file.write_text(file.read_text().replace(str(prefix), PREFIX).replace(str(venv), PREFIX))
+    (prefix / BUILT).write_text(key + "\n")
+    return prefix
+
+
+def keep_messages(built: Path, kept: Path) -> Path:
+    """Copies built message packages into the user's cache and removes old ones from it. Returns the copy, or the original if it cannot be kept."""
+    partial = kept.with_name(f".{kept.name}.{os.getpid()}")
+    try:
+        shutil.copytree(built, partial, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+        if not kept.exists():
+            partial.replace(kept)
+        builds = [path for path in kept.parent.iterdir() if (path / BUILT).is_file()]
+        for old in sorted(builds, key=lambda path: path.stat().st_mtime, reverse=True)[KEPT_BUILDS:]:
+            shutil.rmtree(old, ignore_errors=True)
+    except OSError as error:
+        say(f"the message packages are not kept for other environments: {error}")
+        return built
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return kept
 
 
 def install_project(venv: Path) -> bool:
@@ -384,8 +581,9 @@ def install_project(venv: Path) -> bool:
     if stamp.fresh():
         return False
     with step(f"installing {', '.join(project.name for project in PROJECTS)} from the source tree"):
+        editable = [argument for project in PROJECTS for argument in ("--editable", str(project))]
+        install(venv, "projects", "--config-settings", EDITABLE, *editable)
         for project in PROJECTS:
-            pip(venv, project.name, "install", "--config-settings", EDITABLE, "--editable", str(project))
             put_into_ament_index(venv, project)
     stamp.write()
     return True
@@ -394,18 +592,42 @@ def install_project(venv: Path) -> bool:
 def draw_first_image(venv: Path) -> bool:
     """Steps and draws a scene once: it compiles the numeric loops, for which the first simulation would wait. Returns whether it did."""
     package = ROOT / "src" / "gibson_sim" / "gibson_sim"
-    stamp = Stamp(venv, "first_image", digest([package / "geometry" / "compiling.py", *COMPILED], str(venv)))
+    sources = [package / "geometry" / "compiling.py", *COMPILED]
+    stamp = Stamp(venv, "first_image", digest(sources, str(venv)))
     if stamp.fresh():
         return False
+    kept = user_cache() / "loops" / digest(sources, *pinned("llvmlite", "numba", "numpy"))
+    compiled = copy_loops(kept, package)
     command = [str(venv / "bin" / "python"), "-c", FIRST_IMAGE]
     try:
-        with step("compiling numeric loops, and drawing a first image"):
+        with step("drawing a first image" if compiled else "compiling numeric loops, and drawing a first image"):
             run(command, venv, venv / "gibson_setup" / "first_image.log")
     except SetupError:  # for example a driver that cannot draw: all else works
         say(f"no image could be drawn, see above; `{venv / 'bin' / 'gibson-sim'} doctor` says what is missing")
         return False
+    copy_loops(package, kept)
     stamp.write()
     return True
+
+
+def copy_loops(source: Path, target: Path) -> bool:
+    """Copies compiled loops between our package and the user's cache. Numba looks for them beside a module, and checks a digest of its source
+    and the processor. Returns whether there were any.
+    """
+    package = ROOT / "src" / "gibson_sim" / "gibson_sim"
+    files = [
+        file
+        for module in COMPILED
+        for file in (source / module.relative_to(package).parent / "__pycache__").glob(f"{module.stem}.*.nb[ci]")
+    ]
+    with contextlib.suppress(OSError):  # without them, the loops are compiled
+        for file in files:
+            copy = target / file.relative_to(source)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            partial = copy.with_name(f".{copy.name}.{os.getpid()}")
+            shutil.copyfile(file, partial)
+            partial.replace(copy)
+    return bool(files)
 
 
 def shared_parts(project: Path) -> list[Path]:
@@ -449,12 +671,16 @@ def set_up(venv: Path) -> None:
             f"Python is {platform.python_implementation()} {platform.python_version()}, must be CPython {names}; "
             "choose one with PYTHON=python3.12 make setup"
         )
-    packages = digest([CONSTRAINTS], str(venv))
-    interfaces = digest(INTERFACES, built_on(venv))
-    if not (Stamp(venv, "packages", packages).fresh() and Stamp(venv, "interfaces", interfaces).fresh()):
+    tools, packages = (digest([], str(venv), *lines) for lines in (message_packages(), pins()))
+    if not (Stamp(venv, "packages", packages).fresh() and Stamp(venv, "interfaces", messages_key(str(venv))).fresh()):
         check_system()
-    make_venv(venv)
-    done = [install_packages(venv, packages), build_interfaces(venv, interfaces), install_project(venv), draw_first_image(venv)]
+    with counted_steps(), ThreadPoolExecutor() as pool:
+        make_venv(venv)
+        done = [install_message_tools(venv, tools)]
+        messages = pool.submit(install_messages, venv)
+        # Downloads, while compilers work
+        done += [install_packages(venv, packages), install_project(venv), draw_first_image(venv)]
+        done.append(messages.result())
     say(f"{venv} is ready" if any(done) else f"{venv} is up to date")
 
 

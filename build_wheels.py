@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping
 from email.message import Message
 from pathlib import Path
 
-from bootstrap import ROOT, SetupError, clean_environment, pinned
+from bootstrap import MANIFESTS, ROOT, SetupError, clean_environment, pinned
 from wheel.wheelfile import WheelFile
 
 VENV = Path(sys.prefix)
@@ -125,10 +125,10 @@ def _build_scenes(folder: Path) -> Path:
 def _build_messages(folder: Path, name: str) -> Path:
     """Builds the wheel of a message package from what `make setup` has installed of it."""
     source = MESSAGES[name]
-    manifest = VENV / "ros_build" / "build" / source.name / "install_manifest.txt"
+    manifest = VENV / MANIFESTS / f"{source.name}.txt"
     if not manifest.is_file():
         raise SetupError(f"{VENV} has no {source.name}: run `make setup` first")
-    installed = [Path(line) for line in manifest.read_text().splitlines()]
+    installed = [VENV / line for line in manifest.read_text().splitlines()]
     places = {}
     for path in installed:
         below = path.relative_to(VENV).as_posix()

@@ -36,6 +36,7 @@ setup(
         "Programming Language :: Python :: 3.10",
         "Programming Language :: Python :: 3.11",
         "Programming Language :: Python :: 3.12",
+        "Programming Language :: Python :: 3.13",
         "Programming Language :: Python :: Implementation :: CPython",
         "Topic :: Scientific/Engineering",
     ],
@@ -49,7 +50,9 @@ setup(
         "moderngl",
         "Pillow",
         "PyYAML",
-        "pybullet",
+        # The same module: PyBullet itself has wheels up to Python 3.11.
+        "pybullet; python_version < '3.12'",
+        "pybullet-arm64>=3.2.8; python_version >= '3.12'",
         "rosbags",
         "ruamel-yaml",
         "mcap",

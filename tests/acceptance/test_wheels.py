@@ -22,7 +22,7 @@ from packaging.utils import canonicalize_name
 from support.simulation import require
 
 require("rclpy", "gibson_msgs", "pip", "wheel")
-if not (Path(sys.prefix) / "ros_build").is_dir():
+if not (Path(sys.prefix) / "gibson_setup" / "messages").is_dir():
     message = "SKIPPED: this Python is not of an environment that `make setup` made"
     pytest.skip(message, allow_module_level=True)
 

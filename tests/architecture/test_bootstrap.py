@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import sys
 from pathlib import Path
@@ -121,10 +122,134 @@ def test_modules_whose_loops_the_set_up_compiles_are_all_that_have_some(bootstra
     compile(bootstrap.FIRST_IMAGE, "first_image", "exec")
 
 
-def test_step_says_what_it_does_and_how_long_it_took(bootstrap: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
-    with bootstrap.step("building"):
+def test_steps_say_what_they_do_and_how_long_it_took(bootstrap: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    with bootstrap.counted_steps(), bootstrap.step("building"), bootstrap.step("fetching"):
         pass
     with pytest.raises(bootstrap.SetupError), bootstrap.step("failing"):
         raise bootstrap.SetupError("no")
-    lines = capsys.readouterr().out.splitlines()
-    assert lines == ["gibson-sim setup: building ...", "gibson-sim setup: building: 0 s", "gibson-sim setup: failing ..."]
+    assert capsys.readouterr().out.splitlines() == [
+        "gibson-sim setup: building ...",
+        "gibson-sim setup: fetching ...",
+        "gibson-sim setup: fetching: 0 s",
+        "gibson-sim setup: building: 0 s",
+        "gibson-sim setup: failing ...",
+    ]
+
+
+def test_every_package_belongs_to_a_section(bootstrap: ModuleType) -> None:
+    found = bootstrap.sections()
+    assert set(bootstrap.MESSAGE_SECTIONS) <= set(found)
+    assert sum(len(packages) for packages in found.values()) == len(bootstrap.pins())
+    assert all(len(bootstrap.pinned(name)) >= 1 for name in (*bootstrap.BUILD_TOOLS, *bootstrap.MESSAGE_TOOLS, "uv", "pip"))
+
+
+def test_uv_is_told_what_pip_reads_in_its_files_and_variables(
+    bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in os.environ if name.startswith(("PIP_", "XDG_", "SSL_", "HTTP"))]:
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_CONFIG_DIRS", str(tmp_path / "all"))
+    monkeypatch.setattr(bootstrap.Path, "home", lambda: tmp_path / "home")
+    (tmp_path / "pip").mkdir()
+    (tmp_path / "pip" / "pip.conf").write_text(
+        "[global]\nindex-url = https://mirror/simple\ncert = /mirror.pem\n[install]\nfind-links =\n    /wheels\n    /more\n"
+    )
+    monkeypatch.setenv("PIP_EXTRA_INDEX_URL", "https://other/simple")
+    arguments = bootstrap.uv_arguments()
+    assert arguments[:2] == ["--default-index", "https://mirror/simple"]
+    assert arguments[-4:] == ["--find-links", "/wheels", "--find-links", "/more"]
+    assert arguments[arguments.index("--index") + 1] == "https://other/simple"
+    assert bootstrap.uv_environment() == {"SSL_CERT_FILE": "/mirror.pem"}
+    monkeypatch.setenv("PIP_INDEX_URL", "https://mine/simple")
+    assert bootstrap.uv_arguments()[:2] == ["--default-index", "https://mine/simple"], "a variable overrules a file"
+
+
+def test_pip_installs_what_uv_cannot(bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    commands = []
+
+    def run(command: list[str], *_: object) -> None:
+        commands.append(command)
+        if command[0] == "uv":
+            raise bootstrap.SetupError("no network")
+
+    monkeypatch.setattr(bootstrap, "run", run)
+    monkeypatch.setattr(bootstrap, "uv", lambda venv: Path("uv"))
+    bootstrap.install(tmp_path, "log", "numpy==2.4.6")
+    assert [command[:4] for command in commands[1:]] == [
+        [str(tmp_path / "bin" / "python"), "-m", "ensurepip", "--default-pip"],
+        [str(tmp_path / "bin" / "python"), "-m", "pip", "install"],
+    ]
+    assert all(command[-1] == "numpy==2.4.6" for command in (commands[0], commands[2]))
+
+
+def _build(bootstrap: ModuleType, folder: Path, text: str) -> Path:
+    """Returns a folder that stands for built message packages."""
+    for file, content in {
+        bootstrap.BUILT: "key\n",
+        f"{bootstrap.MANIFESTS}/shop_msgs.txt": "lib/libshop.so\nshare/shop_msgs/cmake/shop.cmake\n",
+        "lib/libshop.so": text,
+        "share/shop_msgs/cmake/shop.cmake": f"set(here {bootstrap.PREFIX})",
+    }.items():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).write_text(content)
+    return folder
+
+
+def test_messages_are_built_once_for_all_environments(
+    bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    built = []
+
+    def build(venv: Path, key: str) -> Path:
+        built.append(key)
+        return _build(bootstrap, venv / "built", f"library of {len(built)}")
+
+    monkeypatch.setattr(bootstrap, "build_messages", build)
+    for name in ("one", "two"):
+        venv = tmp_path / name
+        (venv / "gibson_setup").mkdir(parents=True)
+        assert bootstrap.install_messages(venv)
+        assert not bootstrap.install_messages(venv), "nothing to do"
+        assert (venv / "lib" / "libshop.so").read_text() == "library of 1"
+        assert (venv / "share" / "shop_msgs" / "cmake" / "shop.cmake").read_text() == f"set(here {venv})"
+    assert len(built) == 1
+    # Other messages: what the old ones had and the new ones have not goes.
+    monkeypatch.setattr(bootstrap, "messages_key", lambda *texts: "other" + "".join(texts))
+    (venv / bootstrap.MANIFESTS / "shop_msgs.txt").write_text("lib/libold.so\n")
+    (venv / "lib" / "libold.so").touch()
+    assert bootstrap.install_messages(venv)
+    assert [path.name for path in (venv / "lib").iterdir()] == ["libshop.so"]
+    assert (venv / "lib" / "libshop.so").read_text() == "library of 2"
+
+
+def test_the_last_builds_of_messages_are_kept(bootstrap: ModuleType, tmp_path: Path) -> None:
+    for number in range(bootstrap.KEPT_BUILDS + 2):
+        kept = bootstrap.keep_messages(_build(bootstrap, tmp_path / "built", str(number)), tmp_path / "kept" / str(number))
+        os.utime(kept, (number, number))
+    assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == ["2", "3", "4", "5"]
+
+
+def test_messages_are_installed_where_the_cache_cannot_be_written(
+    bootstrap: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    built = _build(bootstrap, tmp_path / "built", "1")
+    assert bootstrap.keep_messages(built, tmp_path / "file" / "kept") == built
+    assert "not kept for other environments" in capsys.readouterr().out
+
+
+def test_compiled_loops_move_between_clones(bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = tmp_path / "src" / "gibson_sim" / "gibson_sim" / "physics" / "frames.py"
+    monkeypatch.setattr(bootstrap, "ROOT", tmp_path)
+    monkeypatch.setattr(bootstrap, "COMPILED", (module,))
+    package, kept = module.parents[1], tmp_path / "kept"
+    assert not bootstrap.copy_loops(package, kept)
+    compiled = module.parent / "__pycache__" / "frames.turn-10.py311.nbi"
+    compiled.parent.mkdir(parents=True)
+    compiled.write_text("loops")
+    assert bootstrap.copy_loops(package, kept)
+    compiled.unlink()
+    assert bootstrap.copy_loops(kept, package)
+    assert compiled.read_text() == "loops"

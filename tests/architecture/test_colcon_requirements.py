@@ -84,9 +84,12 @@ def _depends(root: Path, package: str) -> set[str]:
     return {str(part.text) for part in tree if part.tag in ("depend", "exec_depend")}
 
 
-def _requirements(root: Path) -> set[str]:
+def _requirements(root: Path, *, of_this_python: bool = False) -> set[str]:
     lines = (root / "ros_ws" / "requirements.txt").read_text().splitlines()
-    return {canonicalize_name(Requirement(line).name) for line in lines if line and not line.startswith("#")}
+    found = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    if of_this_python:
+        found = [one for one in found if one.marker is None or one.marker.evaluate()]
+    return {canonicalize_name(one.name) for one in found}
 
 
 def test_requirements_and_package_xml_name_what_setup_py_needs(root: Path) -> None:
@@ -136,7 +139,7 @@ def test_every_module_is_imported_with_what_the_files_name_and_nothing_else(root
     require("rclpy", "gibson_msgs")
     import importlib.metadata
 
-    wanted = _requirements(root) | set(OF_ROSDEP.values())
+    wanted = _requirements(root, of_this_python=True) | set(OF_ROSDEP.values())
     todo, names = list(wanted - {"numba", "meshoptimizer"}), set()
     while todo:
         name = canonicalize_name(todo.pop())

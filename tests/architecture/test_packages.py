@@ -15,8 +15,8 @@ import pytest
 from support.simulation import require
 
 PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench", "gibson_path_following")
-NOT_IMPORTED = {"gibson_sim": {"xacro"}}
-"""What the code needs without an import statement: programs that it starts."""
+NOT_IMPORTED = {"gibson_sim": {"pybullet-arm64", "xacro"}}
+"""What the code needs without an import statement of that name: programs that it starts, and a package whose module is `pybullet`."""
 PACKAGE_OF = {
     "PIL": "Pillow", "bmesh": "bpy", "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "foxglove": "foxglove-sdk",
     "mapbox_earcut": "mapbox-earcut", "mathutils": "bpy", "pxr": "usd-core", "ruamel": "ruamel-yaml", "yaml": "PyYAML",
