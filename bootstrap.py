@@ -36,6 +36,8 @@ PROJECTS = (
     ROOT / "src" / "gibson_sim_bench",
     ROOT / "ros_ws" / "src" / "gibson_examples",
 )
+LAYOUT = "2"
+"""Version of the environment's layout: one with another layout is made anew."""
 EDITABLE = "editable_mode=compat"
 """Of setuptools: editable packages are found by folders in a .pth file. Its default, an import hook, loses against a folder with the name of a
 package in the working directory, such as that of a clone: `import gibson_sim` would then import the empty folder."""
@@ -292,14 +294,14 @@ class Stamp:
 
 
 def make_venv(venv: Path) -> None:
-    """Creates the environment, without pip; replaces one of another Python, another folder or an interrupted set-up."""
-    stamp = Stamp(venv, "venv", digest([], str(venv)))
+    """Creates the environment, without pip; replaces one of another Python, folder or layout, or of an interrupted set-up."""
+    stamp = Stamp(venv, "venv", digest([], str(venv), LAYOUT))
     if stamp.fresh() and (venv / "bin" / "python").exists():
         return
     if venv.exists() and any(venv.iterdir()):
         if not stamp.file.parent.is_dir():
             raise SetupError(f"{venv} was not made by this set-up; remove it, or choose another folder with VENV=<folder>")
-        say(f"{venv} belongs to another Python, another folder or an interrupted set-up: making it anew")
+        say(f"{venv} belongs to another Python or folder, or to an older or interrupted set-up: making it anew")
         shutil.rmtree(venv)
     with step(f"making {venv} with Python {platform.python_version()}"):
         stamp.file.parent.mkdir(parents=True)
@@ -500,15 +502,17 @@ def install_messages(venv: Path) -> bool:
     stamp = Stamp(venv, "interfaces", messages_key(str(venv)))
     if stamp.fresh():
         return False
+    stamp.file.unlink(missing_ok=True)
+    # Those of an earlier set-up: colcon would take them for those of a ROS installation below.
+    for manifest in (venv / MANIFESTS).glob("*.txt"):
+        for line in manifest.read_text().splitlines():
+            (venv / line).unlink(missing_ok=True)
     kept = user_cache() / "messages" / key
     if (kept / BUILT).is_file():
         say(f"messages: taking those that were built before, in {kept}")
         os.utime(kept)
     else:
         kept = keep_messages(build_messages(venv, key), kept)
-    for manifest in (venv / MANIFESTS).glob("*.txt"):
-        for line in manifest.read_text().splitlines():
-            (venv / line).unlink(missing_ok=True)
     for source in sorted(path for path in kept.rglob("*") if not path.is_dir()):
         target = venv / source.relative_to(kept)
         target.parent.mkdir(parents=True, exist_ok=True)

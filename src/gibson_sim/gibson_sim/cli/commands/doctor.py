@@ -68,12 +68,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _python() -> Iterator[Finding]:
     version = sys.version.split()[0]
-    good = (3, 10) <= sys.version_info[:2] <= (3, 12)
+    good = (3, 10) <= sys.version_info[:2] <= (3, 13)
     yield Finding(
         "Python",
         "ok" if good else "warn",
         f"{version} at {sys.executable}, gibson-sim {__version__}",
-        "" if good else "CPython 3.10 to 3.12 are tested: make a new environment with `PYTHON=python3.12 make setup`",
+        "" if good else "CPython 3.10 to 3.13 are tested: make a new environment with `PYTHON=python3.12 make setup`",
     )
 
 
