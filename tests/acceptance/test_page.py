@@ -250,11 +250,11 @@ def test_what_is_spawned_beside_the_floor_and_what_the_symbols_mean_is_said(page
 
 def test_a_thing_is_dragged_on_the_map(page: Any, listener: Listener) -> None:
     _reset(page, listener)
-    _spawn(page, "box_cardboard", "#map", _pixel(page, 2.2, 4.3))
+    _spawn(page, "box_cardboard", "#map", _pixel(page, 2.2, 4.7))
     x, y = _selected_place(page)
-    _drag(page, "#map", _pixel(page, x, y), _pixel(page, x + 0.3, y - 0.3))
+    _drag(page, "#map", _pixel(page, x, y), _pixel(page, x + 0.3, y + 0.2))
     page.wait_for_function(f"Math.abs(Number(document.querySelector('#pose-x').value) - {x + 0.3}) < 0.1", timeout=60_000)
-    assert _selected_place(page)[1] == pytest.approx(y - 0.3, abs=0.1)
+    assert _selected_place(page)[1] == pytest.approx(y + 0.2, abs=0.1)
     _delete(page)
 
 

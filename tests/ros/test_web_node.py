@@ -323,6 +323,37 @@ def test_a_recording_that_is_ended_at_once_is_whole(ros_domain: int, tmp_path: P
     assert launched.stop() == 0
 
 
+def test_a_joint_of_an_arm_is_listed_and_moved_within_its_limits(ros_domain: int) -> None:
+    launched = Launched("run", "--no-render", "--robot", "arm_bot", "--web-port", "0")
+    launched.wait_for_line("look: http://")
+
+    async def joints(socket: aiohttp.ClientWebSocketResponse) -> dict[str, Any]:
+        while True:
+            message = await socket.receive(timeout=60)
+            if message.type is aiohttp.WSMsgType.TEXT and message.json()["type"] == "joints" and message.json()["value"]:
+                return {joint["name"]: joint for joint in message.json()["value"][""]}
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> None:
+        found = await joints(socket)
+        assert not [name for name in found if "wheel" in name], "wheels have no limits"
+        name = next(name for name, joint in found.items() if joint["unit"] == "rad" and joint["upper"] - joint["lower"] > 1.0)
+        joint = found[name]
+        target = joint["position"] + (0.3 if joint["position"] + 0.3 < joint["upper"] else -0.3)
+        await socket.send_json({"type": "joint", "joint": name, "position": target})
+        while abs((await joints(socket))[name]["position"] - target) > 0.02:
+            pass
+        await socket.send_json({"type": "joint", "joint": name, "position": joint["upper"] + 1.0})  # the limit is commanded
+        while abs((await joints(socket))[name]["position"] - joint["upper"]) > 0.05:
+            pass
+        await socket.send_json({"type": "joint", "joint": "none", "position": 0.0})
+        assert await _reply(socket) == {
+            "to": "MoveJoint", "ok": False, "text": "'none' is not a joint with limits of this robot",
+        }  # fmt: skip
+
+    _talk(launched, talk)
+    assert launched.stop() == 0
+
+
 def test_a_page_that_is_killed_ends_no_simulation(listener: Listener) -> None:
     clock = listener.collect(Clock, "/clock")
     launched = Launched("run", "--no-render", "--web-port", "0")

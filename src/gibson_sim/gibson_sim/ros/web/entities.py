@@ -127,6 +127,6 @@ class Entities:
         self._rooms[pose.name] = {
             "name": pose.name.rpartition("/")[2],
             "floor": self._floor_at(p.z),
-            "low": [p.x + points[0].x, p.y + points[0].y],
-            "high": [p.x + points[1].x, p.y + points[1].y],
+            "low": [p.x + min(point.x for point in points), p.y + min(point.y for point in points)],
+            "high": [p.x + max(point.x for point in points), p.y + max(point.y for point in points)],
         }

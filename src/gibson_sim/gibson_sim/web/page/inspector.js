@@ -38,7 +38,7 @@ export class Inspector {
   get robot() { return this.entity?.robot ? this.robots.find((r) => r.name === this.name || r.namespace === this.name) : null; }
 
   build() {
-    const e = this.entity, form = element('form', '', { className: 'pose' });
+    const e = this.entity, form = element('form', '', { className: 'pose', noValidate: true });
     this.title = element('h2', e.name); this.about = element('p', '', { className: 'hint' });
     this.inputs = Object.fromEntries([['x', 'm'], ['y', 'm'], ['z', 'm'], ['yaw', '°']].map(([key, unit]) => {
       const label = element('label'), input = element('input', '', { type: 'number', step: key === 'yaw' ? 5 : 0.05, id: `pose-${key}` });
