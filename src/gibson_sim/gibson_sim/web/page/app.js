@@ -15,7 +15,9 @@ import { Videos } from './videos.js';
 const FIRST_MS = 4000; // time that the 3-D scene waits for the first image
 const LOW = 0.5; // share of the speed of time that the page offers to a busy machine
 
-let socket = null, robots = [], selectedRobot = remembered('robot', ''), selected = '', entities = [], rate = 1, connectedAt = Infinity, layout = null;
+const address = `${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/socket`;
+let socket = new WebSocket(address); // at once: it connects while the panels are made
+let robots = [], selectedRobot = remembered('robot', ''), selected = '', entities = [], rate = 1, connectedAt = Infinity, layout = null;
 
 function send(type, values = {}) {
   if (!socket || socket.readyState !== WebSocket.OPEN) return false;
@@ -44,9 +46,9 @@ layout = new Layout($('dock'), arranged);
 
 // Sends the topics that the page shows. The 3-D scene waits for the first image, which would otherwise wait for its textures.
 function watch() {
-  const topics = [...videos.needed], with3d = visible('view3d') && (videos.seen || !videos.needed.length || performance.now() > connectedAt + FIRST_MS);
-  if (with3d && scene.gl) topics.push('@scene');
+  const topics = [...videos.needed], with3d = visible('view3d') && (videos.seen || performance.now() > connectedAt + FIRST_MS);
   scene.enable(with3d);
+  if (with3d && scene.gl) topics.push('@scene');
   send('watch', { topics: document.hidden ? [] : topics.slice(-16) });
 }
 
@@ -60,7 +62,7 @@ function arranged() {
 }
 
 function explainScene() {
-  const text = !scene.gl ? 'The 3-D view needs WebGL 2, which this browser does not have.' : !scene.model ? 'Loading the scene …' : scene.poses ? '' : 'Time is paused, and no poses have arrived yet: press Step.';
+  const text = scene.gl === null ? 'The 3-D view needs WebGL 2, which this browser does not have.' : !scene.model ? 'Loading the scene …' : scene.poses ? '' : 'Time is paused, and no poses have arrived yet: press Step.';
   $('scene-note').textContent = text;
   $('scene-note').hidden = !text;
 }
@@ -274,8 +276,8 @@ setInterval(() => { $('images').textContent = videos.images; videos.images = 0; 
 
 // The connection; reconnects after a loss.
 
-function connect() {
-  socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/socket`);
+function connect(made) {
+  socket = made;
   socket.binaryType = 'arraybuffer';
   socket.onopen = () => { connectedAt = performance.now(); setTimeout(watch, FIRST_MS + 50); $('state').textContent = 'connected'; $('state').className = 'badge'; watch(); plots.subscribe(); };
   socket.onmessage = (event) => {
@@ -286,10 +288,10 @@ function connect() {
   socket.onclose = () => {
     driving.release();
     $('state').textContent = 'connection lost'; $('state').className = 'badge lost';
-    setTimeout(connect, 1000);
+    setTimeout(() => connect(new WebSocket(address)), 1000);
   };
 }
 history.replaceState(null, '', location.pathname); // hide the token, which is now in a cookie
 showTool();
 arranged();
-connect();
+connect(socket);

@@ -21,6 +21,8 @@ const BYTES = 28; // per vertex
 const CLICK = 5; // pixels: a press that moves less is a click
 const CUT = 2.2; // metres above the shown floor; what is higher is hidden
 const BUDGET = 3; // the scene is drawn at most every BUDGET times as long as a drawing takes
+const SLOW = 60, FAST = 20; // ms that a drawing takes: above, it is drawn with fewer pixels; below, with more
+const COARSEST = 0.5; // smallest number of drawn pixels per pixel of the page, in each direction
 const TURN = 0.12; // rad, of an arrow key
 const UNIFORMS = ['u_camera', 'u_link', 'u_texture', 'u_textured', 'u_unlit', 'u_tint', 'u_number', 'u_cut'];
 
@@ -42,15 +44,22 @@ function fromPose(p, k) {
 const FIELD = 0.9; // vertical field of view, rad
 const IDENTITY = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
 
+// Returns whether WebGL is drawn by a GPU: in software, antialiasing costs several times as much.
+function hasGpu() {
+  const gl = document.createElement('canvas').getContext('webgl2'), info = gl?.getExtension('WEBGL_debug_renderer_info');
+  const is = Boolean(gl) && !/swiftshader|llvmpipe|software/i.test(info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : '');
+  gl?.getExtension('WEBGL_lose_context')?.loseContext();
+  return is;
+}
+
 export class Scene3D {
   // on.ready(): a model was loaded; on.select(name), on.move(entity, x, y): a body was clicked, dragged to there, m; on.place(pose): a click with a
   // tool; on.drawn(): received poses are in view.
   constructor(canvas, on) {
-    this.canvas = canvas; this.on = on; this.model = null; this.poses = null; this.follow = true; this.enabled = false; this.mode = 'look'; this.selected = ''; this.cuts = true; this.floorZ = 0;
+    this.canvas = canvas; this.on = on; this.model = null; this.poses = null; this.again = false; this.follow = true; this.enabled = false; this.mode = 'look'; this.selected = ''; this.cuts = true; this.floorZ = 0;
     this.target = [0, 0, 0.5]; this.distance = 5; this.azimuth = Math.PI; this.elevation = 1; this.pending = false; this.pointers = new Map(); this.drag = null; this.earliest = 0; this.unshown = false;
-    this.gl = canvas.getContext('webgl2', { antialias: true });
-    if (!this.gl) return;
-    this.program = this.build();
+    this.scale = 1;
+    this.gl = undefined; // null = this browser has no WebGL 2
     canvas.oncontextmenu = (event) => event.preventDefault();
     canvas.onpointerdown = (event) => this.down(event);
     canvas.onpointerup = (event) => this.up(event);
@@ -59,6 +68,12 @@ export class Scene3D {
     canvas.onwheel = (event) => { event.preventDefault(); this.zoom(Math.exp(event.deltaY * 0.0012)); };
     canvas.onkeydown = (event) => this.key(event);
     new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  // Makes the context, once the scene is in view: in software that takes longer than the first image.
+  start() {
+    this.gl = this.canvas.getContext('webgl2', { antialias: hasGpu() });
+    if (this.gl) this.program = this.build();
   }
 
   build() {
@@ -76,6 +91,7 @@ export class Scene3D {
   // Sets whether the scene is in view; its model is downloaded once it is.
   enable(enabled) {
     this.enabled = enabled;
+    if (enabled && this.gl === undefined) this.start();
     if (enabled && this.offered) this.load(this.offered);
     if (enabled) this.draw();
   }
@@ -227,8 +243,10 @@ export class Scene3D {
     const done = () => {
       if (fence && gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) { requestAnimationFrame(done); return; }
       gl.deleteSync(fence);
-      const now = performance.now();
-      this.earliest = now + Math.min(500, (BUDGET - 1) * Math.max(0, now - begin - 17)); // 17 ms: one frame passes before the fence is asked
+      const now = performance.now(), took = Math.max(0, now - begin - 17); // 17 ms: one frame passes before the fence is asked
+      this.earliest = now + Math.min(500, (BUDGET - 1) * took);
+      const scale = took > SLOW ? Math.max(COARSEST, 0.8 * this.scale) : took < FAST ? Math.min(devicePixelRatio || 1, 1.25 * this.scale) : this.scale;
+      if (scale !== this.scale) { this.scale = scale; this.again = true; }
       this.pending = false;
       this.shown();
       if (this.again) { this.again = false; this.draw(); }
@@ -253,7 +271,7 @@ export class Scene3D {
   }
 
   paint() {
-    const gl = this.gl, canvas = this.canvas, ratio = devicePixelRatio || 1, w = Math.round(canvas.clientWidth * ratio), h = Math.round(canvas.clientHeight * ratio);
+    const gl = this.gl, canvas = this.canvas, w = Math.round(canvas.clientWidth * this.scale), h = Math.round(canvas.clientHeight * this.scale);
     if (!w || !h || !this.model) return;
     if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
     const [r, g, b] = this.model.background;
@@ -289,7 +307,7 @@ export class Scene3D {
 
   // Returns the name of the body at a pixel of the canvas; '' = none.
   pick(px, py) {
-    const gl = this.gl, ratio = devicePixelRatio || 1, w = this.canvas.width, h = this.canvas.height, x = Math.floor(px * ratio), y = h - 1 - Math.floor(py * ratio);
+    const gl = this.gl, w = this.canvas.width, h = this.canvas.height, ratio = w / this.canvas.clientWidth, x = Math.floor(px * ratio), y = h - 1 - Math.floor(py * ratio);
     if (!this.model || !w) return '';
     const frame = gl.createFramebuffer(), color = gl.createRenderbuffer(), depth = gl.createRenderbuffer(), pixel = new Uint8Array(4);
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);

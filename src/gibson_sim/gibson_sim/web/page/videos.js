@@ -5,6 +5,7 @@ import { zip } from './zip.js';
 const PATIENCE_MS = 5000; // timeout for a snapshot
 const MAX_VIDEOS = 16; // largest number of videos that the server allows
 const STILL_MS = 4000; // interval between two stills, each of another camera
+const SEEN_MS = 200; // after the first image was drawn: what the page does next could delay the frame with it
 const STRIP = 84, SIDE = 132, GAP = 6; // height of the strip below the large image, its width beside it, and the gap, pixels
 
 export class Videos {
@@ -130,7 +131,7 @@ export class Videos {
     bitmap.close();
     if (this.live.includes(topic)) this.images++;
     if (first) this.explain();
-    if (!this.seen) requestAnimationFrame(() => setTimeout(() => { this.seen = true; this.onWatch(); })); // once it has been painted
+    if (!this.seen) requestAnimationFrame(() => setTimeout(() => { this.seen = true; this.onWatch(); }, SEEN_MS));
   }
 
   // Receives one image of a camera, or null.
