@@ -123,7 +123,7 @@ def journey(folder: Path) -> None:
         page.keyboard.up("w")
         say(f"W drove the robot {_moved(page, start):.2f} m")
         Typed("source env.sh && gibson-sim spawn bottle_water --at 4.2,5.7", folder).end()
-        page.wait_for_selector("#things li:has-text('bottle_water')", timeout=PATIENCE_S * 1000)
+        page.wait_for_selector("[data-key^='e:bottle_water']", timeout=PATIENCE_S * 1000)
         say("the page lists bottle_water")
     run.end(interrupt=True)
     arguments = "--drive tour --duration 30 --record out/tour --record-images compressed --video out/tour.mp4"

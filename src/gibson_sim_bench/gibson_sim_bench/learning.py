@@ -8,7 +8,6 @@ batched renderer.
 from __future__ import annotations
 
 import importlib.util
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -135,7 +134,7 @@ def _processes(plan: LearningPlan, observation: str, count: int) -> LearningRow:
         envs.action_space.seed(0)
 
         def cpu_s() -> float:
-            return time.process_time() + sum(_process_cpu_s(process.pid) for process in envs.processes)
+            return time.process_time() + sum(timing.process_cpu_s(process.pid) for process in envs.processes)
 
         return _row(
             plan, PROCESSES, observation, count, envs.reset, lambda: envs.step(envs.action_space.sample()), cpu_s
@@ -223,14 +222,6 @@ def _row(
         steps += 1
         elapsed = time.perf_counter() - began
     return LearningRow(configuration, observation, count, steps * count / elapsed, 1e3 * (cpu_s() - cpu_before) / (steps * count))
-
-
-def _process_cpu_s(pid: int | None) -> float:
-    """Returns the processor time of a process, user and system, seconds."""
-    with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
-        # User and system time are the 12th and 13th fields after the name, which may itself contain spaces and brackets.
-        fields = file.read().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def report_text(report: LearningReport, *, markdown: bool = False) -> str:

@@ -125,3 +125,11 @@ def _git(folder: Path, *arguments: str) -> str:
     except (OSError, subprocess.SubprocessError):
         return ""
     return done.stdout.strip()
+
+
+def process_cpu_s(pid: int | None) -> float:
+    """Returns the processor time of a process, user and system, seconds."""
+    with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+        # User and system time are the 12th and 13th fields after the name, which may itself contain spaces and brackets.
+        fields = file.read().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

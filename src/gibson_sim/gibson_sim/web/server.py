@@ -97,7 +97,7 @@ class PageServer:
         self._latched: dict[str, str] = {}
         self._files = {entry.name: entry.read_bytes() for entry in files("gibson_sim.web").joinpath("page").iterdir()}
         self._blobs: dict[str, bytes] = {}
-        self._readers = ThreadPoolExecutor(2, "page-recordings")
+        self._readers = ThreadPoolExecutor(4, "page-recordings")
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, args=(port,), name="page-server", daemon=True)
         self._ready, self._released = threading.Event(), threading.Event()

@@ -1,4 +1,4 @@
-"""``gibson-sim bench web``: rate of the live page's images, and their latency from the tick to the pixels of a real browser."""
+"""``gibson-sim bench web``: the live page in a real browser: its first image, the rate and latency of its images, the cost of its server."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.environment import node_environment, require_nodes
@@ -26,6 +27,14 @@ _SAMPLER = """(seconds) => new Promise((done) => {
   look();
 })"""
 """Samples, in each animation frame of the browser, whether the page shows a new image: wall time and stamp, seconds."""
+_DRAWN = "Number(document.querySelector('#scene3d').dataset.drawn || 0)"
+"""How often the page has drawn the scene in 3-D."""
+_FIRST = """(() => {
+  const look = () => document.querySelector('canvas[data-stamp]') ? requestAnimationFrame(() => { window.firstImage = performance.now(); })
+    : requestAnimationFrame(look);
+  look();
+})()"""
+"""Notes when the first image has been painted, milliseconds from the navigation."""
 _SETTLE_S = 3.0
 """Wall time before the measurement, seconds."""
 
@@ -34,8 +43,8 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "web",
-        help="latency and rate of the live page's images in a real browser (needs Chromium and playwright)",
-        description="Runs a simulation with its page, opens the page in headless Chromium, and drives.",
+        help="first image, latency and rate of the live page's images in a real browser (needs Chromium and playwright)",
+        description="Runs a simulation with its page, opens the page in headless Chromium, with map and 3-D in view, and drives.",
     )
     parser.add_argument("--scene", default="linden_flat", help="scene (default: linden_flat)")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="wall time to measure (default: 20)")
@@ -56,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
     print(
         f"{found['images']} images in {found['seconds']:.1f} s: {found['images_per_s']:.1f}/s; from tick to pixels "
         f"{found['latency_ms']['median']:.0f} ms (median), {found['latency_ms']['p95']:.0f} ms (95 %); "
-        f"real-time factor {found['real_time_factor']:.2f}"
+        f"real-time factor {found['real_time_factor']:.2f}; first image {found['first_image_ms']:.0f} ms after the navigation; 3-D drawn "
+        f"{found['drawn_3d_per_s']:.1f}/s; the page's server takes {100.0 * found['server_share']:.0f} % of a core"
     )
     write_json(args.json, {"kind": "web", "facts": asdict(facts), **found})
     return 0
@@ -71,22 +81,30 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
         domain_id: ROS domain; None = that of the environment.
 
     Returns:
-        ``images``, ``seconds``, ``images_per_s``, ``latency_ms`` (``median``, ``p95``) and ``real_time_factor``. The latency is the wall
+        ``images``, ``seconds``, ``images_per_s``, ``latency_ms`` (``median``, ``p95``), ``real_time_factor``, ``first_image_ms``,
+        ``drawn_3d_per_s`` and ``server_share``, the processor time of the page's server per second. The latency is the wall
         time from the publication of a tick on /clock to the frame of the browser in which its image is on the page.
 
     Raises:
         EnvironmentProblemError: there is no Chromium, or no playwright.
         BenchError: the page shows nothing.
     """
+    from gibson_sim_bench import timing
+
     environment, port = node_environment(domain_id=domain_id), _free_port()
     command = [sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", scene, "--web-port", str(port)]
-    with chromium() as browser, process(command, environment), ThreadPoolExecutor(1) as pool:
+    with chromium(webgl=True) as browser, process(command, environment) as pid, ThreadPoolExecutor(1) as pool:
         page = _opened(browser, f"http://127.0.0.1:{port}/")
         clock = pool.submit(node_result, environment, "clock_arrivals", _SETTLE_S + seconds, seconds=_SETTLE_S + seconds)
         page.keyboard.down("a")
         page.wait_for_timeout(_SETTLE_S * 1000)
         print_progress(f"measuring for {seconds:g} s")
+        server = _server_of(pid)
+        drawn, used, begin = page.evaluate(_DRAWN), timing.process_cpu_s(server), time.monotonic()
         images = page.evaluate(_SAMPLER, seconds)[1:]
+        lasted = time.monotonic() - begin
+        drawn, used = page.evaluate(_DRAWN) - drawn, timing.process_cpu_s(server) - used
+        first_ms = float(page.evaluate("window.firstImage"))
         marks = clock.result()
     if len(images) < 2:
         raise BenchError(f"the page showed {len(images)} images in {seconds:g} s")
@@ -99,7 +117,18 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
         "images_per_s": (len(images) - 1) / passed,
         "latency_ms": {"median": latencies[len(latencies) // 2], "p95": latencies[int(0.95 * len(latencies))]},
         "real_time_factor": (images[-1][1] - images[0][1]) / passed,
+        "first_image_ms": first_ms,
+        "drawn_3d_per_s": drawn / lasted,
+        "server_share": used / lasted,
     }
+
+
+def _server_of(pid: int) -> int:
+    """Returns the process id of the page's server, a child of the launcher ``pid``."""
+    for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split():
+        if b"web_node" in Path(f"/proc/{child}/cmdline").read_bytes():
+            return int(child)
+    raise BenchError(f"process {pid} has no web node among its children")
 
 
 def _free_port() -> int:
@@ -115,6 +144,7 @@ def _opened(browser: Any, url: str) -> Any:
     deadline = time.monotonic() + TIMEOUT_S
     while True:
         page = browser.new_page(viewport={"width": 1360, "height": 820}, bypass_csp=True)
+        page.add_init_script(_FIRST)
         try:
             page.goto(url)
             page.wait_for_selector("canvas[data-stamp]", timeout=20_000)
