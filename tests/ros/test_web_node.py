@@ -323,6 +323,18 @@ def test_a_recording_that_is_ended_at_once_is_whole(ros_domain: int, tmp_path: P
     assert launched.stop() == 0
 
 
+def test_the_scans_of_robots_in_namespaces_are_shown(ros_domain: int) -> None:
+    launched = Launched("run", "--no-render", "--robot", "left=gibson_bot,right=gibson_bot", "--web-port", "0")
+    launched.wait_for_line("look: http://")
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> None:
+        while [len(scan["points"]) > 50 for scan in await _values(socket, "scan")] != [True, True]:
+            pass
+
+    _talk(launched, talk)
+    assert launched.stop() == 0
+
+
 def test_a_joint_of_an_arm_is_listed_and_moved_within_its_limits(ros_domain: int) -> None:
     launched = Launched("run", "--no-render", "--robot", "arm_bot", "--web-port", "0")
     launched.wait_for_line("look: http://")

@@ -24,7 +24,6 @@ from tf2_msgs.msg import TFMessage
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.client_config import WebConfig
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.processes.job_folder import PAGE, note_in_job
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.client.requests import STATES
@@ -43,7 +42,7 @@ from gibson_sim.ros.web.simulation_client import SimulationClient
 from gibson_sim.ros.web.task_view import TaskView
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.ros.web.video_subscriptions import VideoSubscriptions, image_topics, label_of
-from gibson_sim.types import NS_PER_S, Pose
+from gibson_sim.types import NS_PER_S
 from gibson_sim.web.curves import CurveName
 from gibson_sim.web.pages import Answer
 from gibson_sim.web.recordings import Recordings
@@ -73,7 +72,7 @@ class WebNode(Node):
     Subscribes:
         image topics (sensor_msgs/Image, CompressedImage), while a page shows them; any topic, while a page plots it.
         map, floor_N/map, /tf, /tf_static, /clock, /diagnostics, object_joint_states; for each robot odom, ground_truth/odom, scan, plan, amcl_pose,
-        robot_description, joint_states;
+        robot_description, joint_states, and tf_static if it has a namespace;
         scene and scene_state while a page shows the scene in 3-D; the topics of ``TaskView``.
 
     On request of a page, it starts a record node and a task node, which end with it.
@@ -109,8 +108,8 @@ class WebNode(Node):
         self._simulation = SimulationClient(self)
         self._recorder, self._recordings = Recorder(), Path(config.folder)
         self.subscribe(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
-        self.subscribe(TFMessage, names.TF, self._on_tf, _MANY)
-        self.subscribe(TFMessage, names.TF_STATIC, self._on_tf, _LATCHED_MANY)
+        self.subscribe(TFMessage, names.TF, self._tree.add, _MANY)
+        self.subscribe(TFMessage, names.TF_STATIC, self._tree.add, _LATCHED_MANY)
         self.subscribe(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _MANY)
         token = "" if config.host in LOOPBACK else config.token or secrets.token_urlsafe(16)
         recordings = Recordings(self._recordings)
@@ -260,12 +259,6 @@ class WebNode(Node):
 
     def _on_clock(self, data: bytes) -> None:
         self._clock_ns = stamp_ns(data)
-
-    def _on_tf(self, msg: TFMessage) -> None:
-        for t in msg.transforms:
-            p, q = t.transform.translation, t.transform.rotation
-            matrix = matrix_from_pose(Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
-            self._tree.set(t.header.frame_id.lstrip("/"), t.child_frame_id.lstrip("/"), matrix)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         now = time.monotonic()

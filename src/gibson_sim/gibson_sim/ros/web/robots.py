@@ -11,6 +11,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, Twi
 from nav_msgs.msg import Odometry, Path
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import LaserScan
+from tf2_msgs.msg import TFMessage
 
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.ros.client.requests import flat_pose
@@ -22,6 +23,7 @@ from gibson_sim.web.requests import Drive, Goal
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_LATCHED_MANY = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_POINTS = 400
 """Maximum number of points of a scan or a path that are sent to a page, approximately."""
 _ODOMETRY = "nav_msgs/msg/Odometry"
@@ -78,6 +80,8 @@ class Robot:
         self._scan: LaserScan | None = None
         self._stamped = False
         self._publishers: dict[str, Any] = {}
+        self._static = TransformTree()
+        """Fixed transforms of a robot that publishes them in its namespace."""
         self.joints = RobotJoints(node, self._prefix)
         """Its joints that a page shows and moves."""
         self._subscriptions = [
@@ -87,6 +91,9 @@ class Robot:
             node.subscribe(Path, f"{self._prefix}plan", self._on_path, _NEWEST),
             node.subscribe(PoseWithCovarianceStamped, f"{self._prefix}amcl_pose", self._on_estimate, _LATCHED),
         ]
+        if name:
+            topic = self._prefix + names.TF_STATIC.lstrip("/")
+            self._subscriptions.append(node.subscribe(TFMessage, topic, self._static.add, _LATCHED_MANY))
 
     def close(self) -> None:
         """Destroys the subscriptions and publishers."""
@@ -199,7 +206,10 @@ class Robot:
         scan, odometry = self._scan, self._odometry
         if scan is None or odometry is None or not len(scan.ranges):
             return []
-        T_base_scan = tree.between(odometry.child_frame_id, scan.header.frame_id)
+        frames = (odometry.child_frame_id, scan.header.frame_id)
+        T_base_scan = tree.between(*frames)
+        if T_base_scan is None:
+            T_base_scan = self._static.between(*frames)
         if T_base_scan is None:
             return []
         ranges = np.asarray(scan.ranges, dtype=np.float64)

@@ -38,7 +38,7 @@ export class Inspector {
   get robot() { return this.entity?.robot ? this.robots.find((r) => r.name === this.name || r.namespace === this.name) : null; }
 
   build() {
-    const e = this.entity, form = element('form', '', { className: 'pose', noValidate: true });
+    const e = this.entity, form = element('form', '', { className: 'pose', noValidate: true, id: 'pose-form' });
     this.title = element('h2', e.name); this.about = element('p', '', { className: 'hint' });
     this.inputs = Object.fromEntries([['x', 'm'], ['y', 'm'], ['z', 'm'], ['yaw', '°']].map(([key, unit]) => {
       const label = element('label'), input = element('input', '', { type: 'number', step: key === 'yaw' ? 5 : 0.05, id: `pose-${key}` });
@@ -46,11 +46,11 @@ export class Inspector {
       return [key, input];
     }));
     const move = element('button', 'Move', { type: 'submit', title: 'move it to this pose' });
-    form.append(move);
+    move.setAttribute('form', form.id);
     form.onsubmit = (event) => { event.preventDefault(); this.move(); };
     const row = element('div', '', { className: 'row wrap' }), look = element('button', 'Look at', { title: 'show it on the map and in 3-D' });
     look.onclick = () => this.on.look(this.entity);
-    row.append(look);
+    row.append(move, look);
     if (e.robot) { const drive = element('button', 'Drive this robot', { id: 'inspector-drive' }); drive.onclick = () => this.on.drive(this.robot?.namespace ?? ''); row.append(drive); } else row.append(this.deletion());
     this.jointList = element('div', '', { id: 'joints' });
     $('inspector').append(this.title, this.about, form, row, this.jointList);
