@@ -24,8 +24,8 @@ DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
 FILM_WIDTH, RATE_HZ = 960, 5
 """Width of the film, pixels, and its pictures a second."""
 
-_THING = "[...document.querySelector('#catalogue').options].map((o) => o.text).find((name) => /crate|box|chair/.test(name))"
-"""Finds the name of something in the catalogue that is large enough to be seen."""
+_Y, _YAW = (f"Number(document.querySelector('#pose').innerText.match(/{pattern}/)[1])" for pattern in (r"y (\S+)", r"m +(\S+)°"))
+"""The robot's y (m) and yaw (degrees), as the page shows them."""
 
 
 def main() -> None:
@@ -40,7 +40,16 @@ def main() -> None:
             _film(_opened(browser, address, DESKTOP, "light"), folder / "page.webp")
             for name, size, theme in (("desktop", DESKTOP, "dark"), ("phone", PHONE, "light")):
                 page = _opened(browser, address, size, theme)
-                page.wait_for_timeout(2000)
+                page.wait_for_function("[...document.querySelectorAll('#strip canvas')].every((c) => c.dataset.stamp)")
+                page.click("#reset")
+                page.wait_for_timeout(1000)
+                if name == "desktop":
+                    _plot(page, "twist.twist.linear.x")
+                    page.click("[data-key='e:bathroom_door'] > span")
+                    page.keyboard.down("w")
+                    page.wait_for_timeout(2000)
+                    page.keyboard.up("w")
+                page.wait_for_timeout(3000)
                 page.screenshot(path=folder / f"page_{name}.jpg", type="jpeg", quality=80)
                 page.close()
     finally:
@@ -54,6 +63,15 @@ def _opened(browser: Any, address: str, size: dict[str, int], theme: str) -> Any
     page.goto(address)
     page.wait_for_selector("canvas[data-stamp]", timeout=60_000)
     return page
+
+
+def _plot(page: Any, *fields: str) -> None:
+    """Plots fields of the odometry, in one plot."""
+    page.select_option("#plot-topic", "/odom")
+    for number, field in enumerate(fields):
+        page.wait_for_selector(f"#plot-field option[value='{field}']", state="attached")
+        page.select_option("#plot-field", field)
+        page.click("#plot-over" if number else "#plot-new")
 
 
 def _film(page: Any, path: Path) -> None:
@@ -71,18 +89,14 @@ def _film(page: Any, path: Path) -> None:
             )
             page.wait_for_timeout(max(0.0, 1000.0 / RATE_HZ - 1000.0 * (time.monotonic() - began)))
 
-    page.select_option("#plot-topic", "/odom")
-    for field in ("twist.twist.linear.x", "twist.twist.angular.z"):
-        page.wait_for_selector(f"#plot-field option[value='{field}']", state="attached")
-        page.select_option("#plot-field", field)
-        page.click("#plot-new")
+    _plot(page, "twist.twist.linear.x", "twist.twist.angular.z")
     shoot(1.0)
-    for keys, seconds in (("a", 1.2), ("w", 4.2), ("d", 1.0), ("w", 1.5)):  # out of the hall, into the living room
-        for key in keys:
-            page.keyboard.down(key)
-        shoot(seconds)
-        for key in keys:
-            page.keyboard.up(key)
+    for key, there in (("a", f"{_YAW} > -115 && {_YAW} < -60"), ("w", f"{_Y} < 4.4"), ("d", f"{_YAW} < -120 || {_YAW} > 100")):
+        page.keyboard.down(key)  # out of the hall, into the living room, and towards the kitchen
+        while not page.evaluate(there):
+            shoot(0.2)
+        page.keyboard.up(key)
+        shoot(0.6)
     page.click("[data-mode=spawn]")
     page.select_option("#catalogue", label="box_cardboard")
     box = page.locator("#map").bounding_box()

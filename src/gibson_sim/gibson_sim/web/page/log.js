@@ -3,6 +3,7 @@ import { $, element, keyed, nameElement, onNote } from './dom.js';
 
 const LEVELS = ['ok', 'warning', 'error', 'stale'];
 const KEPT = 300; // lines of the log
+const ENOUGH = 0.9; // share of the due images; with more than that, nobody needs advice
 const LASTS = 3; // reports after which a warning is more than a moment
 
 export class Log {
@@ -28,7 +29,7 @@ export class Log {
       if (!before || before.level !== d.level || (d.level && before.message !== d.message)) this.add(d.level, d.name.replace(/^gibson_sim: /, ''), d.message);
       this.known.set(d.name, d);
     }
-    const busy = shown.filter((d) => d.isBusy);
+    const busy = shown.filter((d) => d.isBusy && d.drawn < ENOUGH * d.due);
     this.skipping = busy.length ? Math.min(2 * LASTS, this.skipping + 1) : Math.max(0, this.skipping - 1);
     if (busy.length && this.skipping >= LASTS) this.onBusy([busy.reduce((sum, d) => sum + d.drawn, 0), busy.reduce((sum, d) => sum + d.due, 0)]);
     else if (!this.skipping) this.onBusy(null);

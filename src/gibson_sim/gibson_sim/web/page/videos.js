@@ -4,7 +4,7 @@ import { zip } from './zip.js';
 
 const PATIENCE_MS = 5000; // timeout for a snapshot
 const MAX_VIDEOS = 16; // largest number of videos that the server allows
-const STILL_MS = 4000; // interval between two stills, each of another camera
+const STILL_MS = 1500, RENEWED = 3; // interval between two first stills, each of another camera; every RENEWED-th interval, one is renewed
 const SEEN_MS = 200; // after the first image was drawn: what the page does next could delay the frame with it
 const STRIP = 84, SIDE = 132, GAP = 6; // height of the strip below the large image, its width beside it, and the gap, pixels
 
@@ -146,7 +146,8 @@ export class Videos {
   async takeStill() {
     if (document.hidden || !this.visible || !this.seen || this.isGrid || this.wanted.size || $('strip').hidden) return;
     const live = new Set(this.live), stills = this.topics.map((t) => t.topic).filter((t) => !live.has(t)), empty = stills.find((t) => !this.figures.get(t).canvas.dataset.stamp);
-    const topic = empty ?? (this.busy ? null : stills[this.still++ % Math.max(1, stills.length)]);
+    if (!empty && (this.busy || ++this.still % RENEWED)) return;
+    const topic = empty ?? stills[(this.still / RENEWED) % Math.max(1, stills.length)];
     if (!topic) return;
     const arrived = this.one(topic);
     this.onWatch();
