@@ -12,6 +12,7 @@ import argparse
 import configparser
 import contextlib
 import fcntl
+import functools
 import hashlib
 import os
 import platform
@@ -139,7 +140,16 @@ blend_tiles(*tiled, fixed(np.zeros((16, 16), np.float32)), np.zeros((16, 16, 4),
 
 
 class SetupError(Exception):
-    """A failure of the set-up, with its remedy, in one line."""
+    """A failure of the set-up, with its remedy, in one line.
+
+    Args:
+        message: the line.
+        log: output of the program that failed; its end is printed before the line if the failure ends the set-up.
+    """
+
+    def __init__(self, message: str, log: Path | None = None) -> None:
+        super().__init__(message)
+        self.log = log
 
 
 _running: dict[str, float] = {}
@@ -202,17 +212,15 @@ def clean_environment(venv: Path) -> dict[str, str]:
 
 
 def run(command: list[str], venv: Path, log: Path, extra: dict[str, str] | None = None) -> None:
-    """Runs a program with its output in ``log``; on failure prints the end of the log."""
+    """Runs a program with its output in ``log``."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as out:
         code = subprocess.run(
             command, cwd=ROOT, env={**clean_environment(venv), **(extra or {})}, stdout=out, stderr=subprocess.STDOUT, check=False
         ).returncode
     if code:
-        tail = log.read_text(errors="replace").splitlines()[-30:]
-        print("\n".join(tail), file=sys.stderr)
         raise SetupError(
-            f"{Path(command[0]).name} {' '.join(command[1:4])} ... ended with code {code}; its whole output is in {log}"
+            f"{Path(command[0]).name} {' '.join(command[1:4])} ... ended with code {code}; its output is in {log}", log
         )
 
 
@@ -377,34 +385,44 @@ def uv_environment() -> dict[str, str]:
     }
 
 
+@functools.cache
 def uv(venv: Path) -> Path | None:
     """Returns the program uv, which installs packages several times as fast as pip; fetches it unless an earlier set-up has."""
     (requirement,) = pinned("uv")
     tag = f"{platform.system().lower()}-{platform.machine()}-{'-'.join(platform.libc_ver()).strip('-')}"
-    for folder in (user_cache() / requirement.replace("==", "-") / tag, venv / "gibson_setup" / "uv"):
-        program = folder / "bin" / "uv"
-        if program.is_file() or fetch_uv(venv, requirement, folder):
-            return program
-    say("uv cannot be had, see above: pip installs the packages, which takes longer")
-    return None
-
-
-def fetch_uv(venv: Path, requirement: str, folder: Path) -> bool:
-    """Installs uv into a folder of its own. Returns whether that succeeded."""
+    kept = user_cache() / requirement.replace("==", "-") / tag
+    folders = [kept, venv / "gibson_setup" / "uv"]
+    for folder in folders:
+        if (folder / "bin" / "uv").is_file():
+            return folder / "bin" / "uv"
     ensure_pip(venv)
-    partial = folder.with_name(f".{folder.name}.{os.getpid()}")
-    try:
-        run(
-            [str(venv / "bin" / "python"), "-m", "pip", "install", *PIP, "--no-deps", "--target", str(partial), requirement],
-            venv,
-            venv / "gibson_setup" / "uv.log",
-        )
-        partial.replace(folder)
-    except (SetupError, OSError) as error:
-        say(str(error))
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return (folder / "bin" / "uv").is_file()
+    for folder in folders:
+        partial = folder.with_name(f".{folder.name}.{os.getpid()}")
+        try:
+            partial.mkdir(parents=True)
+            command = [
+                str(venv / "bin" / "python"),
+                "-m",
+                "pip",
+                "install",
+                *PIP,
+                "--no-deps",
+                "--target",
+                str(partial),
+                requirement,
+            ]
+            run(command, venv, venv / "gibson_setup" / "uv.log")
+            with contextlib.suppress(OSError):  # another set-up was faster
+                partial.replace(folder)
+            return folder / "bin" / "uv"
+        except OSError:
+            continue  # the user's cache cannot be written
+        except SetupError as error:
+            say(f"uv cannot be had, so pip installs the packages, which takes longer: {error}")
+            break
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    return None
 
 
 def ensure_pip(venv: Path) -> None:
@@ -424,6 +442,8 @@ def install(venv: Path, log: str, *packages: str) -> None:
     options = ["--no-deps", "--no-build-isolation"]
     file = venv / "gibson_setup" / f"{log}.log"
     if program := uv(venv):
+        # Where the user's cache cannot be written, uv was put into the environment, and needs a cache there.
+        cache = {"UV_CACHE_DIR": str(venv / "gibson_setup" / "uv_cache")} if program.is_relative_to(venv) else {}
         # pip takes the newest version of all indexes, uv by default that of the first index that has the package.
         command = [
             str(program),
@@ -435,10 +455,10 @@ def install(venv: Path, log: str, *packages: str) -> None:
             "unsafe-best-match",
         ]
         try:
-            run([*command, *uv_arguments(), *options, *packages], venv, file, uv_environment())
+            run([*command, *uv_arguments(), *options, *packages], venv, file, {**uv_environment(), **cache})
             return
         except SetupError as error:
-            say(f"{error}; trying pip")
+            say(f"pip installs what uv could not: {error}")
     ensure_pip(venv)
     run([str(venv / "bin" / "python"), "-m", "pip", "install", *PIP, *options, *packages], venv, file)
 
@@ -606,8 +626,8 @@ def draw_first_image(venv: Path) -> bool:
     try:
         with step("drawing a first image" if compiled else "compiling numeric loops, and drawing a first image"):
             run(command, venv, venv / "gibson_setup" / "first_image.log")
-    except SetupError:  # for example a driver that cannot draw: all else works
-        say(f"no image could be drawn, see above; `{venv / 'bin' / 'gibson-sim'} doctor` says what is missing")
+    except SetupError as error:  # for example a driver that cannot draw: all else works
+        say(f"no image could be drawn; `{venv / 'bin' / 'gibson-sim'} doctor` says what is missing: {error}")
         return False
     copy_loops(package, kept)
     stamp.write()
@@ -699,6 +719,8 @@ def main() -> int:
         with exclusive_set_up(venv):
             set_up(venv)
     except SetupError as error:
+        if error.log is not None and error.log.is_file():
+            print("\n".join(error.log.read_text(errors="replace").splitlines()[-30:]), file=sys.stderr)
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
