@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.records import Channel, Schema
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
@@ -131,6 +132,27 @@ def test_whole_bag_is_left_alone(bag: Path) -> None:
     result = repair(bag)
     assert (result.changed, result.messages) == (False, 20)
     assert {p.name: p.read_bytes() for p in bag.iterdir()} == before
+
+
+@pytest.mark.parametrize("has_messages", [False, True])
+def test_topic_that_only_the_summary_describes_is_no_fault_if_it_has_no_messages(
+    tmp_path: Path, messages: Any, has_messages: bool
+) -> None:
+    """The C++ library, which rosbag2 uses, writes the description of a topic before its first message, and all of them into the summary."""
+    path = tmp_path / "bag_0.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data")
+        used = writer.register_channel("/used", "cdr", schema)
+        writer._Writer__schemas[2] = Schema(id=2, name="std_msgs/msg/Bool", encoding="ros2msg", data=b"bool data")  # type: ignore[attr-defined]
+        writer._Writer__channels[2] = Channel(id=2, topic="/empty", message_encoding="cdr", metadata={}, schema_id=2)  # type: ignore[attr-defined]
+        for k in range(5):
+            writer.add_message(2 if has_messages and k == 4 else used, k, messages.text(f"{k:100d}"), k)
+        writer.finish()
+    before = path.read_bytes()
+    assert repair(tmp_path).complete
+    assert (path.read_bytes() == before) == (not has_messages)
 
 
 def test_missing_metadata_file_is_rewritten(bag: Path) -> None:

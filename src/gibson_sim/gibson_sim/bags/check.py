@@ -354,6 +354,13 @@ def _compare(topic: str, partner: str, data: _Collected, problems: list[str], no
     images, others = data.stamps[topic], data.stamps[partner]
     inside = (images >= others.min()) & (images <= others.max())
     alone = images[inside & ~np.isin(images, others)]
+    if not partner.endswith("/camera_info"):  # of which each image has one of its own
+        in_gap = _is_in_gap(alone, others)
+        if lost := int(np.count_nonzero(in_gap)):
+            notes.append(
+                f"{topic}: {lost} of {len(images)} stamps cannot be compared, since messages of {partner} are missing there"
+            )
+        alone = alone[~in_gap]
     if len(alone):
         problems.append(f"{topic}: {len(alone)} of {len(images)} stamps are not in {partner}, first {alone[0] / NS_PER_S:.9f} s")
     if inside.all():
@@ -373,6 +380,17 @@ def _compare(topic: str, partner: str, data: _Collected, problems: list[str], no
             "in the nodes that publish them"
         )
     return bool(inside.any())
+
+
+def _is_in_gap(stamps: Stamps, others: Stamps) -> NDArray[np.bool_]:
+    """Returns for each stamp whether it lies between two of the other stamps where messages are missing."""
+    ordered = np.unique(others)
+    period_ns = period_of(ordered, periodic=True)
+    if len(ordered) < 2 or not period_ns:
+        return np.zeros(len(stamps), dtype=bool)
+    after = np.clip(np.searchsorted(ordered, stamps), 1, len(ordered) - 1)
+    found: NDArray[np.bool_] = np.rint((ordered[after] - ordered[after - 1]) / period_ns) > 1
+    return found
 
 
 def _span(stamps: Stamps) -> str:

@@ -688,10 +688,18 @@ class _Scanner:
         return True
 
     def _is_described(self) -> bool:
-        """Returns whether the data section describes the topics and types that the summary does, if it does."""
+        """Returns whether the data section describes the topics and types that the summary does, if it does. Those of topics without messages
+        may be in the summary alone, as the C++ library writes them.
+        """
         data = {(opcode, number) for position, opcode, number in self._described if position < self._found.data_end}
         summary = {(opcode, number) for position, opcode, number in self._described if position > self._found.data_end}
-        return not self._found.data_end or not summary or data == summary
+        if not self._found.data_end or not summary:
+            return True
+        counts = self._found.counts
+        without_messages = {
+            (opcode, number) for opcode, number in summary - data if opcode == Opcode.SCHEMA or not counts[number]
+        }
+        return data == summary - without_messages
 
     def _choose(self, known_topics: Callable[[Channel, Schema | None], bool]) -> None:
         """Chooses the best copy of each description, and names those that differ."""
