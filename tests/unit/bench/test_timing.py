@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -48,3 +50,10 @@ def test_the_version_in_a_checkout_names_its_commit(root: Path) -> None:
         assert "(" not in timing.version()
     else:
         assert f"({commit.stdout.strip()}" in timing.version()
+
+
+def test_process_cpu_s_of_this_process_is_what_it_used() -> None:
+    before = time.process_time()
+    found = timing.process_cpu_s(os.getpid())
+    # The kernel counts in ticks of 10 ms, and threads of other tests may end meanwhile.
+    assert before - 0.05 <= found <= time.process_time() + 0.05
