@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -54,6 +55,7 @@ def test_every_term_is_where_the_glossary_says(root: Path) -> None:
     assert missing == []
 
 
+@functools.cache
 def _names(package: Path) -> list[tuple[str, str]]:
     """Returns (file, name) of each module, class and function of a package."""
     found = []
