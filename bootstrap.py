@@ -37,7 +37,7 @@ PROJECTS = (
     ROOT / "src" / "gibson_sim_bench",
     ROOT / "ros_ws" / "src" / "gibson_examples",
 )
-LAYOUT = "2"
+LAYOUT = "3"
 """Version of the environment's layout: one with another layout is made anew."""
 EDITABLE = "editable_mode=compat"
 """Of setuptools: editable packages are found by folders in a .pth file. Its default, an import hook, loses against a folder with the name of a
@@ -64,6 +64,8 @@ NAMING_PREFIX = (".cmake", ".sh", ".bash", ".zsh", ".py", ".dsv", ".pc")
 """Suffixes of installed files that may name that folder."""
 BUILT = "gibson_setup/messages.txt"
 """File that a finished build has, below the folder where it is installed."""
+PARENTS = "share/ament_index/resource_index/parent_prefix_path"
+"""Folder, below the same, of entries that name the environment in which a message package was built; nothing reads them."""
 MANIFESTS = "gibson_setup/messages"
 """Folder, below the same, with a list of installed files for each message package."""
 PIP = ("--disable-pip-version-check", "--no-compile")
@@ -513,7 +515,7 @@ def point_exports_here(venv: Path) -> None:
 def messages_key(*texts: str) -> str:
     """Returns a hash of all that the message packages are built from."""
     packages = (line for line in pins() if line.startswith(("numpy==", "ros-")))
-    return digest(INTERFACES, *MESSAGE_FLAGS, platform.machine(), *platform.libc_ver(), *packages, *texts)
+    return digest(INTERFACES, LAYOUT, *MESSAGE_FLAGS, platform.machine(), *platform.libc_ver(), *packages, *texts)
 
 
 def install_messages(venv: Path) -> bool:
@@ -567,11 +569,12 @@ def build_messages(venv: Path, key: str) -> Path:
     with step("building the message packages (half a minute to a minute, once per machine)"):
         run(command, venv, venv / "gibson_setup" / "interfaces.log", extra)
     stamp.write()
+    shutil.rmtree(prefix / PARENTS, ignore_errors=True)
     for package in (base / "build").glob("*/install_manifest.txt"):
-        files = [str(Path(line).relative_to(prefix)) for line in package.read_text().splitlines()]
+        files = [Path(line).relative_to(prefix) for line in package.read_text().splitlines()]
         manifest = prefix / MANIFESTS / f"{package.parent.name}.txt"
         manifest.parent.mkdir(parents=True, exist_ok=True)
-        manifest.write_text("\n".join(sorted(files)) + "\n")
+        manifest.write_text("".join(f"{file}\n" for file in sorted(files) if (prefix / file).exists()))
     for file in prefix.rglob("*"):
         if file.suffix in NAMING_PREFIX and file.is_file():
             file.write_text(file.read_text().replace(str(prefix), PREFIX).replace(str(venv), PREFIX))
