@@ -52,7 +52,7 @@ SHARED = ("config", "launch/*", "package.xml", "scenes")
 SUPPORTED = ((3, 10), (3, 11), (3, 12), (3, 13))
 BUILD_TOOLS = ("packaging", "setuptools", "wheel")
 """Packages that pip needs to build source packages, without build isolation."""
-MESSAGE_TOOLS = ("numpy", "python-dateutil", "pyyaml", "six", "typing-extensions")
+MESSAGE_TOOLS = ("numpy", "packaging", "python-dateutil", "pyyaml", "six", "typing-extensions")
 """Packages that the message packages are built with, besides those of ``MESSAGE_SECTIONS``."""
 MESSAGE_SECTIONS = ("ROS 2 Jazzy", "Building the message packages")
 """Sections of constraints.txt with which the message packages are built."""
@@ -71,7 +71,7 @@ MANIFESTS = "gibson_setup/messages"
 PIP = ("--disable-pip-version-check", "--no-compile")
 """Options of pip. Python compiles a module when it is first imported, which few of them are."""
 KEPT_BUILDS = 4
-"""Builds of the message packages that the user's cache keeps, the most recently used ones."""
+"""Builds of the message packages, and of the loops, that the user's cache keeps, the most recently used ones."""
 
 FOREIGN = (
     "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV",
@@ -397,23 +397,11 @@ def uv(venv: Path) -> Path | None:
     for folder in folders:
         if (folder / "bin" / "uv").is_file():
             return folder / "bin" / "uv"
-    ensure_pip(venv)
     for folder in folders:
         partial = folder.with_name(f".{folder.name}.{os.getpid()}")
         try:
             partial.mkdir(parents=True)
-            command = [
-                str(venv / "bin" / "python"),
-                "-m",
-                "pip",
-                "install",
-                *PIP,
-                "--no-deps",
-                "--target",
-                str(partial),
-                requirement,
-            ]
-            run(command, venv, venv / "gibson_setup" / "uv.log")
+            pip(venv, "uv", "--target", str(partial), requirement)
             with contextlib.suppress(OSError):  # another set-up was faster
                 partial.replace(folder)
             return folder / "bin" / "uv"
@@ -427,10 +415,12 @@ def uv(venv: Path) -> Path | None:
     return None
 
 
-def ensure_pip(venv: Path) -> None:
-    """Puts pip into the environment, without a download."""
+def pip(venv: Path, log: str, *arguments: str) -> None:
+    """Installs packages by pip: exact versions, no dependency resolution. An environment without pip gets that of Python."""
+    python = str(venv / "bin" / "python")
     if not (venv / "bin" / "pip").exists():
-        run([str(venv / "bin" / "python"), "-m", "ensurepip", "--default-pip"], venv, venv / "gibson_setup" / "ensurepip.log")
+        run([python, "-m", "ensurepip", "--default-pip"], venv, venv / "gibson_setup" / "ensurepip.log")
+    run([python, "-m", "pip", "install", *PIP, "--no-deps", *arguments], venv, venv / "gibson_setup" / f"{log}.log")
 
 
 def install(venv: Path, log: str, *packages: str) -> None:
@@ -441,28 +431,18 @@ def install(venv: Path, log: str, *packages: str) -> None:
         log: name of the log in the environment's folder gibson_setup.
         packages: requirements and options that uv and pip share.
     """
-    options = ["--no-deps", "--no-build-isolation"]
-    file = venv / "gibson_setup" / f"{log}.log"
     if program := uv(venv):
         # Where the user's cache cannot be written, uv was put into the environment, and needs a cache there.
         cache = {"UV_CACHE_DIR": str(venv / "gibson_setup" / "uv_cache")} if program.is_relative_to(venv) else {}
+        command = [str(program), "pip", "install", "--python", str(venv / "bin" / "python"), "--no-deps", "--no-build-isolation"]
         # pip takes the newest version of all indexes, uv by default that of the first index that has the package.
-        command = [
-            str(program),
-            "pip",
-            "install",
-            "--python",
-            str(venv / "bin" / "python"),
-            "--index-strategy",
-            "unsafe-best-match",
-        ]
+        command += ["--index-strategy", "unsafe-best-match", *uv_arguments()]
         try:
-            run([*command, *uv_arguments(), *options, *packages], venv, file, {**uv_environment(), **cache})
+            run([*command, *packages], venv, venv / "gibson_setup" / f"{log}.log", {**uv_environment(), **cache})
             return
         except SetupError as error:
             say(f"pip installs what uv could not: {error}")
-    ensure_pip(venv)
-    run([str(venv / "bin" / "python"), "-m", "pip", "install", *PIP, *options, *packages], venv, file)
+    pip(venv, log, "--no-build-isolation", *packages)
 
 
 def message_packages() -> list[str]:
@@ -489,7 +469,7 @@ def install_packages(venv: Path, key: str) -> bool:
     stamp = Stamp(venv, "packages", key)
     if stamp.fresh():
         return False
-    before = {*message_packages(), *pinned(*BUILD_TOOLS)}
+    before = set(message_packages())
     with step("installing the other packages of constraints.txt"):
         install(venv, "packages", *(line for line in pins() if line not in before))
     stamp.write()
@@ -512,10 +492,15 @@ def point_exports_here(venv: Path) -> None:
             file.write_text(new)
 
 
+def built_on(*texts: str) -> str:
+    """Returns a hash of what the message packages are built with."""
+    packages = (line for line in pins() if line.startswith(("numpy==", "ros-")))
+    return digest([PYTHON_ONLY], LAYOUT, *MESSAGE_FLAGS, platform.machine(), *platform.libc_ver(), *packages, *texts)
+
+
 def messages_key(*texts: str) -> str:
     """Returns a hash of all that the message packages are built from."""
-    packages = (line for line in pins() if line.startswith(("numpy==", "ros-")))
-    return digest(INTERFACES, LAYOUT, *MESSAGE_FLAGS, platform.machine(), *platform.libc_ver(), *packages, *texts)
+    return digest(INTERFACES, built_on(), *texts)
 
 
 def install_messages(venv: Path) -> bool:
@@ -550,9 +535,10 @@ def install_messages(venv: Path) -> bool:
 def build_messages(venv: Path, key: str) -> Path:
     """Builds the message packages with colcon. Returns the folder where they are installed; its files name it by ``PREFIX``."""
     python, base = venv / "bin" / "python", venv / "ros_build"
-    stamp = Stamp(venv, "built_on", digest([], str(venv), *(line for line in pins() if line.startswith(("numpy==", "ros-")))))
+    stamp = Stamp(venv, "built_on", built_on(str(venv)))
     if not stamp.fresh():
         shutil.rmtree(base, ignore_errors=True)
+        stamp.write()  # an interrupted build goes on
     prefix = base / "install"
     shutil.rmtree(prefix, ignore_errors=True)
     command = [str(python), "-m", "colcon", "--log-base", str(base / "log"), "build", "--base-paths", *map(str, INTERFACES)]
@@ -568,7 +554,6 @@ def build_messages(venv: Path, key: str) -> Path:
     extra = {"AMENT_PREFIX_PATH": str(venv), "CMAKE_PREFIX_PATH": str(venv), "COLCON_HOME": str(base / "home"), **jobs}
     with step("building the message packages (half a minute to a minute, once per machine)"):
         run(command, venv, venv / "gibson_setup" / "interfaces.log", extra)
-    stamp.write()
     shutil.rmtree(prefix / PARENTS, ignore_errors=True)
     for package in (base / "build").glob("*/install_manifest.txt"):
         files = [Path(line).relative_to(prefix) for line in package.read_text().splitlines()]
@@ -589,15 +574,21 @@ def keep_messages(built: Path, kept: Path) -> Path:
         shutil.copytree(built, partial, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
         if not kept.exists():
             partial.replace(kept)
-        builds = [path for path in kept.parent.iterdir() if (path / BUILT).is_file()]
-        for old in sorted(builds, key=lambda path: path.stat().st_mtime, reverse=True)[KEPT_BUILDS:]:
-            shutil.rmtree(old, ignore_errors=True)
+        forget_old_builds(kept)
     except OSError as error:
         say(f"the message packages are not kept for other environments: {error}")
         return built
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return kept
+
+
+def forget_old_builds(used: Path) -> None:
+    """Removes the builds beside ``used``, a build in the user's cache, but for the most recently used ones."""
+    os.utime(used)
+    builds = [path for path in used.parent.iterdir() if not path.name.startswith(".")]
+    for old in sorted(builds, key=lambda path: path.stat().st_mtime, reverse=True)[KEPT_BUILDS:]:
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def install_project(venv: Path) -> bool:
@@ -632,7 +623,8 @@ def draw_first_image(venv: Path) -> bool:
     except SetupError as error:  # for example a driver that cannot draw: all else works
         say(f"no image could be drawn; `{venv / 'bin' / 'gibson-sim'} doctor` says what is missing: {error}")
         return False
-    copy_loops(package, kept)
+    if copy_loops(package, kept) and kept.is_dir():
+        forget_old_builds(kept)
     stamp.write()
     return True
 

@@ -20,6 +20,8 @@ from gibson_sim.reading import exists, is_file, is_folder, real_path
 
 PACKAGE = "gibson_sim"
 PATH_VARIABLE = "GIBSON_SIM_PATH"
+FOLDER_TIME = "%Y-%m-%d_%H-%M-%S"
+"""strftime format of the names of folders that get results when the user names none."""
 _CONFIG_SUFFIXES = ("", ".yaml", ".yml", ".param.yaml")
 _OBJECTS = "objects"
 """Folder of objects beside the scenes, which is not a scene."""

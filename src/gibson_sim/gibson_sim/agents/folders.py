@@ -10,9 +10,8 @@ from pathlib import Path
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import exists, is_folder
+from gibson_sim.resources import FOLDER_TIME
 from gibson_sim.settings import nearest
-
-_TIME = "%Y-%m-%d_%H-%M-%S"
 
 
 class Folders:
@@ -71,7 +70,7 @@ class Folders:
         if not self._folders:
             raise ConfigError(f"there is no folder for {kind}: {_REMEDY}")
         if not text:
-            return self._folders[0] / kind / datetime.now().strftime(_TIME)
+            return self._folders[0] / kind / datetime.now().strftime(FOLDER_TIME)
         path = self._resolved(text, "folder")
         if exists(path):
             raise ConfigError(f"folder {quoted(text)} already exists; give another name")

@@ -26,6 +26,7 @@ from gibson_sim.client_config import WebConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.processes.job_folder import PAGE, note_in_job
 from gibson_sim.quoting import quoted
+from gibson_sim.resources import FOLDER_TIME
 from gibson_sim.ros.client.requests import STATES
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
@@ -238,7 +239,7 @@ class WebNode(Node):
             answer(False, "a recording runs already")
         else:
             try:
-                folder = self._recordings / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+                folder = self._recordings / datetime.now().strftime(FOLDER_TIME)
                 self._recorder.start(images=request.images, folder=folder)
             except (GibsonSimError, OSError) as error:
                 answer(False, f"nothing is recorded: {error}")
