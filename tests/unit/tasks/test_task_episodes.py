@@ -65,8 +65,8 @@ def test_no_way_leads_round_the_boxes_of_push_through_and_one_leads_there_withou
         episode = task_of("push-through").generate(seed, arena)
         assert episode.goal.position is not None
         start, goal = episode.start.position[:2], episode.goal.position[:2]
-        assert arena.planner.path(start, goal)[-1] == pytest.approx(goal)
-        assert not arena.connected(start, goal, [footprint(item.model, item.pose) for item in episode.items])
+        assert arena.space.planner.path(start, goal)[-1] == pytest.approx(goal)
+        assert not arena.space.with_obstacles([footprint(item.model, item.pose) for item in episode.items]).connected(start, goal)
 
 
 def test_who_does_not_push_stands_before_the_boxes(arena: Ground) -> None:
@@ -116,8 +116,8 @@ def test_the_outline_of_a_turned_box_is_turned() -> None:
 
 def test_an_item_is_an_outline_that_ways_lead_round(arena: Ground) -> None:
     box = footprint("box_cardboard", Pose((2.0, 2.2, 0.0)))
-    straight = arena.planner.path((1.0, 2.2), (3.0, 2.2))
-    round_it = arena.planner_around([box]).path((1.0, 2.2), (3.0, 2.2))
+    straight = arena.space.planner.path((1.0, 2.2), (3.0, 2.2))
+    round_it = arena.space.with_obstacles([box]).planner.path((1.0, 2.2), (3.0, 2.2))
     assert len(straight) == 2 and len(round_it) > 2
     assert np.abs(round_it[:, 1] - 2.2).max() >= 0.2 + arena.robot.radius - 0.05
 

@@ -33,7 +33,7 @@ def arena() -> Ground:
 def test_a_free_place_is_on_the_floor_and_clear_of_walls(arena: Ground) -> None:
     pose = free_place(arena, np.random.default_rng(1))
     assert pose.position[2] == arena.floor.floor_z
-    assert arena.floor.clearance(pose_xy(pose)) >= arena.reach + START_CLEARANCE
+    assert arena.floor.clearance(pose_xy(pose)) >= arena.space.clearance + START_CLEARANCE
 
 
 def test_a_pose_at_a_distance_has_a_path_of_that_length(arena: Ground) -> None:
@@ -42,7 +42,7 @@ def test_a_pose_at_a_distance_has_a_path_of_that_length(arena: Ground) -> None:
     goal, distance = at_distance(arena, rng, start, 1.5, 2.5)
     assert 1.5 <= distance <= 2.5
     # Distances on the grid are a little longer than the smoothed path.
-    assert path_length(arena.planner.path(pose_xy(start), pose_xy(goal))) <= distance + 0.1
+    assert path_length(arena.space.planner.path(pose_xy(start), pose_xy(goal))) <= distance + 0.1
     with pytest.raises(SceneError):
         at_distance(arena, rng, start, 500.0, 501.0)
 
@@ -69,7 +69,7 @@ def test_poses_on_the_floor_are_upright(arena: Ground) -> None:
 def test_the_shortest_path_of_point_goal_is_the_path_without_objects_less_the_radius(arena: Ground) -> None:
     episode = PointGoal().generate(5, arena)
     assert episode.goal.position is not None
-    length = path_length(arena.planner.path(pose_xy(episode.start), episode.goal.position[:2]))
+    length = path_length(arena.space.planner.path(pose_xy(episode.start), episode.goal.position[:2]))
     assert episode.shortest == pytest.approx(max(length - RADIUS, 0.1))
     assert length <= DISTANCE[1] + 0.1 and len(episode.items) <= THINGS
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -105,9 +106,16 @@ class FloorMap:
             triangles: (F, 3), rows of ``vertices``.
             robot_height: height of the robot above the floor, metres.
         """
-        parts = clip_to_slab(vertices[triangles], self.floor_z + FLOOR_CLEARANCE, self.floor_z + robot_height)
-        covered = Grid(self.resolution, self.origin, self.occupied.shape).cover(parts)
-        return replace(self, occupied=self.occupied | covered)
+        return self.with_obstacles(clip_to_slab(vertices[triangles], self.floor_z + FLOOR_CLEARANCE, self.floor_z + robot_height))
+
+    def with_obstacles(self, polygons: Sequence[F64] | F64) -> FloorMap:
+        """Returns the map with additional obstacles: the cells that overlap convex polygons (P, K, 2), world metres, are occupied."""
+        return replace(self, occupied=self.occupied | self.grid.cover(np.asarray(polygons, dtype=np.float64)))
+
+    @property
+    def grid(self) -> Grid:
+        """The cells of the map."""
+        return Grid(self.resolution, self.origin, self.shape)
 
     @property
     def free(self) -> Bools:

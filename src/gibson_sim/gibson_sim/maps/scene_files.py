@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
-from gibson_sim.geometry.rasterise import Grid
 from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim.maps.export import write_gibson_maps
 from gibson_sim.maps.floor_map import FLOOR_CLEARANCE, FLOOR_TOLERANCE, FloorMap, has_ground_at
@@ -116,7 +115,7 @@ def _surface(floor: FloorMap, triangles: F64) -> F64:
     low, high = floor.floor_z - FLOOR_TOLERANCE, floor.floor_z + FLOOR_CLEARANCE
     near = triangles[(triangles[:, :, 2].min(axis=1) >= low) & (triangles[:, :, 2].max(axis=1) <= high)]
     level = near[np.abs(unit_normals(near)[:, 2]) > 0.9]
-    return Grid(floor.resolution, floor.origin, floor.shape).heights(level, np.maximum)
+    return floor.grid.heights(level, np.maximum)
 
 
 def _height(floor: FloorMap, heights: F64, xy: tuple[float, float], radius: float) -> float:

@@ -32,7 +32,7 @@ class DrivingDistance:
 
     def __init__(self, ground: Ground, goal: tuple[float, float]) -> None:
         self._floor = ground.floor
-        lengths = ground.planner.distances(goal)
+        lengths = ground.space.planner.distances(goal)
         reachable = np.isfinite(lengths)
         gap, nearest = ndimage.distance_transform_edt(~reachable, sampling=ground.floor.resolution, return_indices=True)
         self._lengths: F64 = lengths[tuple(nearest)] + gap

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
-from gibson_sim.geometry.rasterise import Grid
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy, yaw_from_quat
 from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
@@ -102,9 +101,9 @@ def place_against_wall(
         beside: free space on its left and right, metres.
         behind: free distance behind the stand, for backing up, metres.
     """
-    floor = ground.floor_with([other.outline() for other in others]) if others else ground.floor
+    floor = ground.space.with_obstacles([other.outline() for other in others]).floor
     try:
-        poses = random_free_poses(floor, TRIES, rng, clearance=ground.reach)
+        poses = random_free_poses(floor, TRIES, rng, clearance=ground.space.clearance)
     except SceneError:
         return None
     low, _ = extent(model)
@@ -116,10 +115,10 @@ def place_against_wall(
             continue
         x, y = (np.array(pose_xy(pose)) + ahead * (wall - _BEHIND + low[0])).tolist()
         candidate = furniture_of(Item(name, model, on_floor(ground, x, y, yaw + math.pi)))
-        if not _fits(floor, candidate, beside, behind, ground.reach):
+        if not _fits(floor, candidate, beside, behind, ground.space.clearance):
             continue
         furniture = (*others, candidate)
-        furnished = ground.floor_with([piece.outline() for piece in furniture])
+        furnished = ground.floor.with_obstacles([piece.outline() for piece in furniture])
         if all(float(furnished.clearance(piece.stand)) >= ROOM for piece in furniture):
             return candidate
     return None
@@ -127,10 +126,10 @@ def place_against_wall(
 
 def start_for(ground: Ground, rng: np.random.Generator, furniture: Sequence[Furniture]) -> Pose | None:
     """Samples a start pose of the robot, T_world_base, from which it can reach all stands; None = none was found."""
-    outlines = [piece.outline() for piece in furniture]
+    space = ground.space.with_obstacles([piece.outline() for piece in furniture])
     for _ in range(TRIES):
         start = free_place(ground, rng)
-        if all(ground.connected(pose_xy(start), piece.stand, outlines) for piece in furniture):
+        if all(space.connected(pose_xy(start), piece.stand) for piece in furniture):
             return start
     return None
 
@@ -156,14 +155,14 @@ def _free_ahead(floor: FloorMap, xy: tuple[float, float], ahead: F64) -> float:
     return float(distances[int(blocked.argmax())]) if blocked.any() else _LONGEST
 
 
-def _fits(floor: FloorMap, furniture: Furniture, beside: float, behind: float, reach: float) -> bool:
+def _fits(floor: FloorMap, furniture: Furniture, beside: float, behind: float, clearance: float) -> bool:
     """Returns whether furniture stands on free floor and a robot has room to approach it and back up."""
     ahead = np.array([math.cos(furniture.yaw), math.sin(furniture.yaw)])
     stand = np.array(furniture.stand)
     if (
         float(floor.clearance(stand)) < ROOM
-        or (floor.clearance([stand + REACHING * ahead, stand - behind * ahead]) < reach).any()
+        or (floor.clearance([stand + REACHING * ahead, stand - behind * ahead]) < clearance).any()
     ):
         return False
-    covered = Grid(floor.resolution, floor.origin, floor.shape).cover(furniture.outline(beside)[None])
+    covered = floor.grid.cover(furniture.outline(beside)[None])
     return not bool((covered & ~floor.free).any())

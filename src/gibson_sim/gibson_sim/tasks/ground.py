@@ -1,22 +1,19 @@
-"""The floor of a task: reachable positions, paths, and the visibility of points. Pure and deterministic."""
+"""The ground of a task: scene, robot, floor and free space, and the visibility of points. Pure and deterministic."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from gibson_sim.errors import ConfigError, SceneError
-from gibson_sim.geometry.rasterise import Grid
 from gibson_sim.geometry.transforms import matrix_from_quat, yaw_from_quat
 from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
-from gibson_sim.maps.paths import PathPlanner
+from gibson_sim.maps.free_space import FreeSpace
 from gibson_sim.maps.placement import robot_floor_map
 from gibson_sim.maps.rooms import Door, find_rooms
 from gibson_sim.robots.spec import RobotSpec
@@ -28,8 +25,6 @@ from gibson_sim.types import Pose
 
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
-MARGIN = 0.04
-"""Clearance of planned paths beyond the robot's radius, metres."""
 SIGHT = 5.0
 """Distance up to which an object counts as seen, metres."""
 
@@ -44,19 +39,14 @@ class Ground:
     floor: FloorMap
 
     @cached_property
-    def planner(self) -> PathPlanner:
-        """Planner of paths around static obstacles."""
-        return PathPlanner(self.floor, self.reach)
+    def space(self) -> FreeSpace:
+        """Free space of the robot between static obstacles."""
+        return FreeSpace(self.floor, self.robot.radius)
 
     @cached_property
     def doors(self) -> tuple[Door, ...]:
         """Doorways: narrow passages between rooms."""
         return find_rooms(self.floor)[1]
-
-    @property
-    def reach(self) -> float:
-        """Minimum distance of paths from obstacles, metres."""
-        return self.robot.radius + MARGIN
 
     @property
     def half_view(self) -> float:
@@ -65,32 +55,6 @@ class Ground:
             raise ConfigError(f"robot {self.robot.name!r} has no camera; this task needs a robot with a camera")
         camera = self.robot.cameras[0]
         return math.atan(math.tan(camera.fov_y / 2.0) * camera.width / camera.height)
-
-    def planner_around(self, footprints: Iterable[F64]) -> PathPlanner:
-        """Returns a planner whose paths also avoid footprints: corners (4, 2), world frame, metres."""
-        polygons = list(footprints)
-        return PathPlanner(self.floor_with(polygons), self.reach) if polygons else self.planner
-
-    def connected(self, start: tuple[float, float], goal: tuple[float, float], footprints: Iterable[F64]) -> bool:
-        """Returns whether a path around footprints connects two positions; faster than planning the path."""
-        labels = self.parts(list(footprints))
-        a, b = (int(labels[tuple(self.floor.cells(position))]) for position in (start, goal))
-        return a == b != 0
-
-    def parts(self, footprints: Sequence[F64]) -> NDArray[np.int32]:
-        """Returns labels, (H, W), of the connected regions in which the robot can move; 0 = not free.
-
-        Args:
-            footprints: corners (4, 2) of objects on the floor, world frame, metres; at least one.
-        """
-        floor = self.floor_with(footprints)
-        labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
-        return np.asarray(labels, dtype=np.int32)
-
-    def floor_with(self, footprints: Sequence[F64] | F64) -> FloorMap:
-        """Returns the floor with footprints as obstacles: corners (4, 2), world frame, metres; at least one."""
-        grid = Grid(self.floor.resolution, self.floor.origin, self.floor.shape)
-        return replace(self.floor, occupied=self.floor.occupied | grid.cover(np.asarray(footprints, dtype=np.float64)))
 
     def sees(self, base: Pose, points: ArrayLike, reach: float = SIGHT) -> Bools:
         """Returns a mask, (N,), of the points (N, 2), world frame, metres, in the field of view, in range and not occluded by static obstacles."""

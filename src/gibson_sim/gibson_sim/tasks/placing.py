@@ -28,7 +28,7 @@ def free_place(ground: Ground, rng: np.random.Generator, region: NDArray[np.bool
     Raises:
         SceneError: there is no free pose.
     """
-    clearance = ground.reach + START_CLEARANCE
+    clearance = ground.space.clearance + START_CLEARANCE
     return random_free_poses(ground.floor, 1, rng, clearance=clearance, region=region)[0]
 
 
@@ -38,7 +38,7 @@ def at_distance(ground: Ground, rng: np.random.Generator, start: Pose, low: floa
     Raises:
         SceneError: there is no such pose.
     """
-    distances = ground.planner.distances(start.position[:2])
+    distances = ground.space.planner.distances(start.position[:2])
     region = np.asarray((distances >= low) & (distances <= high))
     pose = free_place(ground, rng, region)
     row, column = ground.floor.cells(pose.position[:2])

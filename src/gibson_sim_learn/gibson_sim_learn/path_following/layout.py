@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.description.body import BodySpec
-from gibson_sim.geometry.rasterise import Grid
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
@@ -125,7 +124,7 @@ class _ObjectMover:
             x, y = (float(c) for c in floor.centers(cells[int(rng.integers(len(cells)))]) + rng.uniform(-0.02, 0.02, 2))
             yaw = float(rng.uniform(-math.pi, math.pi))
             corners = _placed(outline, x, y, yaw)
-            covered = Grid(floor.resolution, floor.origin, floor.shape).cover(corners[None])
+            covered = floor.grid.cover(corners[None])
             if (covered & ~floor.free).any() or not covered.any():
                 continue
             filled = replace(floor, occupied=floor.occupied | covered)
@@ -163,7 +162,7 @@ def _with_obstacle(
         low = 0.0 if item.text else extent(item.model)[0][2]
         pose = pose_from_xyz_rpy((x, y, floor.floor_z - low), (0.0, 0.0, yaw))
         corners = footprint(item.model, pose) if not item.text else _placed(outline, x, y, yaw * (item.model != PERSON))
-        covered = Grid(floor.resolution, floor.origin, floor.shape).cover(corners[None])
+        covered = floor.grid.cover(corners[None])
         if (covered & ~floor.free).any() or not covered.any():
             continue
         filled = replace(floor, occupied=floor.occupied | covered)

@@ -41,7 +41,7 @@ class ObjectSearch(Task):
         """Returns the episode of a seed; see ``Task.generate``."""
         rng = generator(self, seed)
         start = free_place(ground, rng)
-        distances = ground.planner.distances(pose_xy(start))
+        distances = ground.space.planner.distances(pose_xy(start))
         models = _distinct_classes(rng)
         for _ in range(TRIES):
             items = _scatter(ground, rng, models, np.asarray(np.isfinite(distances)))
@@ -87,7 +87,7 @@ def _distinct_classes(rng: np.random.Generator) -> list[str]:
 
 def _scatter(ground: Ground, rng: np.random.Generator, models: list[str], region: NDArray[np.bool_]) -> tuple[Item, ...]:
     """Returns items on free floor at a distance from each other; fewer than ``models`` if there is no room."""
-    cells = np.argwhere(region & (ground.floor.distance_to_obstacle >= max(_SPACE, ground.reach)))
+    cells = np.argwhere(region & (ground.floor.distance_to_obstacle >= max(_SPACE, ground.space.clearance)))
     items: list[Item] = []
     for number in rng.permutation(len(cells))[: 20 * len(models)]:
         if len(items) == len(models):
@@ -149,7 +149,7 @@ class _SearchPolicy:
         """Returns a driver to the nearest unseen floor point; None = no reachable point is unseen."""
         if not self._unseen.any():
             self._unseen[:] = True
-        planner: PathPlanner = self._ground.planner
+        planner: PathPlanner = self._ground.space.planner
         try:
             distances = planner.distances(obs.xy)
         except SceneError:

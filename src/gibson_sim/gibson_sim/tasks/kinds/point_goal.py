@@ -36,8 +36,8 @@ class PointGoal(Task):
             goal, _ = at_distance(ground, rng, start, *DISTANCE)
         except SceneError:
             goal, _ = at_distance(ground, rng, start, 1.0, DISTANCE[1])
-        path = ground.planner.path(pose_xy(start), pose_xy(goal))
-        clear = ((pose_xy(start), ground.reach + 0.15), (pose_xy(goal), ground.reach + 0.05))
+        path = ground.space.planner.path(pose_xy(start), pose_xy(goal))
+        clear = ((pose_xy(start), ground.space.clearance + 0.15), (pose_xy(goal), ground.space.clearance + 0.05))
         items = clutter(ground, rng, path, MODELS, THINGS, keep_clear=clear)
         return Episode(
             task=self.name,

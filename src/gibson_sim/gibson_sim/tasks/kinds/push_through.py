@@ -54,7 +54,7 @@ class PushThrough(Task):
                 items = _blockade(ground, rng, door)
                 if _open(ground, start, goal, items):
                     continue
-                path = ground.planner.path(pose_xy(start), pose_xy(goal))
+                path = ground.space.planner.path(pose_xy(start), pose_xy(goal))
             except SceneError:
                 continue
             if path_length(path) > 2.0 * sum(AWAY):
@@ -79,7 +79,7 @@ class PushThrough(Task):
 
 def _both_sides(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[Pose, Pose]:
     """Samples a start on one side of a door and a goal on the other, both near it, T_world_base."""
-    distances = ground.planner.distances(door.center)
+    distances = ground.space.planner.distances(door.center)
     rows, columns = ground.floor.shape
     centers = ground.floor.centers(np.indices((rows, columns)).transpose(1, 2, 0))
     yaw = _squared(door.yaw)
@@ -113,7 +113,8 @@ def _blockade(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[Ite
 
 def _open(ground: Ground, start: Pose, goal: Pose, items: tuple[Item, ...]) -> bool:
     """Returns whether a path leads around the boxes."""
-    return not items or ground.connected(pose_xy(start), pose_xy(goal), [footprint(item.model, item.pose) for item in items])
+    footprints = [footprint(item.model, item.pose) for item in items]
+    return not items or ground.space.with_obstacles(footprints).connected(pose_xy(start), pose_xy(goal))
 
 
 def _squared(yaw: float) -> float:

@@ -349,7 +349,7 @@ def with_bodies(ground: Ground, without: Collection[str]) -> Ground:
     vertices, triangles = body_triangles(replace(ground.scene, bodies=bodies))
     floor = ground.floor
     parts = clip_to_slab(vertices[triangles], floor.floor_z, floor.floor_z + ground.robot.height)
-    return replace(ground, floor=ground.floor_with(parts))
+    return replace(ground, floor=ground.floor.with_obstacles(parts))
 
 
 def doorway(ground: Ground, door: HingedDoor, without: Collection[str] = ()) -> Doorway | None:
@@ -369,7 +369,7 @@ def doorway(ground: Ground, door: HingedDoor, without: Collection[str] = ()) -> 
     if wide < LEAST:
         return None
     floor = furnished.floor
-    closed, opened = (furnished.parts([leaf_outline(door, opening)]) for opening in (0.0, wide))
+    closed, opened = (furnished.space.with_obstacles([leaf_outline(door, opening)]).regions() for opening in (0.0, wide))
     front, back = door.stance(0.0, slant), door.off(door.width / 2.0, -AWAY[0])
     near, far = (_region_at(closed, floor, position) for position in (front, back))
     if not near or not far or near == far or _region_at(opened, floor, front) != _region_at(opened, floor, back):

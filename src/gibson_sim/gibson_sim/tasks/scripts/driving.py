@@ -123,7 +123,7 @@ class Driver:
         for avoided in attempts:
             footprints = [footprint(model, obs.links[root]) for root, model in self._models.items() if root in avoided]
             try:
-                path = self._ground.planner_around([*self._obstacles, *footprints]).path(obs.xy, self._goal)
+                path = self._ground.space.with_obstacles([*self._obstacles, *footprints]).planner.path(obs.xy, self._goal)
             except SceneError:
                 continue
             if not avoided:

@@ -18,13 +18,14 @@ from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.maps.free_poses import random_free_poses
+from gibson_sim.maps.free_space import XY
 from gibson_sim.maps.paths import path_length
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.spawning import SpawnError, load_spawnable
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.trials.planning.places import NoPlaceError, Places
 from gibson_sim.trials.planning.seeds import stream
-from gibson_sim.trials.planning.site import XY, Site
+from gibson_sim.trials.planning.site import Site
 from gibson_sim.trials.records import Person, PlacedObject
 from gibson_sim.trials.scenario_spec import SAMPLED, Obstacles, PersonRule, SpawnRule
 from gibson_sim.types import Pose
@@ -129,16 +130,20 @@ class _Placer:
     def __init__(self, site: Site, places: Places) -> None:
         self._site, self._places = site, places
         self._names = {body.name for body in site.scene.bodies}
-        self._next = site.floor
-        """Map with the object at the place that was tried last."""
-        self.floor: FloorMap = site.floor
+        self._next = self._space = site.space
+        """Free space with the object at the place that was tried last, and without it."""
 
     def path(self) -> tuple[float, F64]:
-        """Returns the shortest path around all objects, see ``Site.shortest``."""
+        """Returns the shortest path around all objects, see ``FreeSpace.shortest``."""
         # Objects only make paths longer: a path that stays clear of them remains the shortest and needs no search.
-        if self._site.is_clear(self._places.path, self.floor):
+        if self._space.contains(self._places.path):
             return self._places.shortest, self._places.path
-        return self._site.shortest_on(self.floor, self._places.start[:2], self._places.goal[:2])
+        return self._space.shortest(self._places.start[:2], self._places.goal[:2])
+
+    @property
+    def floor(self) -> FloorMap:
+        """Map with all objects."""
+        return self._space.floor
 
     def place(self, key: str, rule: SpawnRule, number: int, rng: np.random.Generator) -> PlacedObject:
         """Returns an object at a place that leaves a detour free, and adds it to the map."""
@@ -150,7 +155,7 @@ class _Placer:
             x, y, yaw = self._given(f"{key}.at", rule, shape)
         else:
             x, y, yaw = self._sample(key, rule, shape, rng)
-        self.floor = self._next
+        self._space = self._next
         return PlacedObject(
             self._name(rule.object, number), rule.object, (x, y, yaw), round(self._site.floor.floor_z - shape.low[2], 4)
         )
@@ -189,9 +194,10 @@ class _Placer:
         return round(x - across * dy, 4), round(y + across * dx, 4)
 
     def _anywhere(self, rng: np.random.Generator, shape: _Shape) -> XY | None:
-        region = self._site.free_region(self._site.clearance)
+        clearance = self._site.space.clearance
+        region = self._site.space.largest_region(clearance)
         try:
-            (pose,) = random_free_poses(self.floor, 1, rng, clearance=min(shape.radius, self._site.clearance), region=region)
+            (pose,) = random_free_poses(self.floor, 1, rng, clearance=min(shape.radius, clearance), region=region)
         except SceneError:
             return None
         return round(pose.position[0], 4), round(pose.position[1], 4)
@@ -199,7 +205,7 @@ class _Placer:
     def _problem(self, shape: _Shape, x: float, y: float, yaw: float) -> str:
         """Returns why an object cannot stand at a place; empty = it can."""
         corners = shape.corners(x, y, yaw)
-        cells = self._site.grid.cover(corners[None])
+        cells = self.floor.grid.cover(corners[None])
         if not cells.any() or (cells & ~self.floor.free).any():
             return f"would overlap an obstacle or lie outside the map of scene {quoted(self._site.scene_name)}"
         if self._site.swept is not None and (cells & self._site.swept).any():
@@ -207,8 +213,8 @@ class _Placer:
         for end, pose in (("start", self._places.start), ("goal", self._places.goal)):
             if _distance_to_polygon(pose[:2], corners) < self._site.robot.radius + _END_CLEARANCE:
                 return f"would stand within {_END_CLEARANCE:g} m of the robot at the {end} ({pose[0]:.2f}, {pose[1]:.2f})"
-        self._next = replace(self.floor, occupied=self.floor.occupied | cells)
-        if not self._site.connected(self._places.start[:2], self._places.goal[:2], self._next):
+        self._next = self._space.with_obstacles(corners[None])
+        if not self._site.leaves_path(self._next, self._places.start[:2], self._places.goal[:2]):
             return f"would leave no path from {_text(self._places.start)} to {_text(self._places.goal)}"
         return ""
 

@@ -69,18 +69,18 @@ def choose_places(
     if given[0] is not None and given[1] is not None:
         return _between(site, given[0], given[1], keys)
     rng = stream(seed, "places", attempt)
-    clearance = max(sampling.clearance, site.clearance)
+    clearance = max(sampling.clearance, site.space.clearance)
     swung = site.swept_distance < clearance
-    region = site.free_region(clearance) & ~swung
+    region = site.space.largest_region(clearance) & ~swung
     low, high = sampling.path_length
     max_distance = 0.0
     for _ in range(_TRIES):
         fixed = given[0] or given[1]
         first = fixed or _sample(site, rng, clearance, region)
         try:
-            distances = site.planner.distances(first[:2])
+            distances = site.space.planner.distances(first[:2])
         except SceneError:  # only a given place can be too narrow for the margin
-            distances = site.planner_of(site.robot.radius).distances(first[:2])
+            distances = site.space.planner_of(site.robot.radius).distances(first[:2])
         reachable = region & np.isfinite(distances)
         if fixed is not None and not reachable.any():
             # The given place is in another region, such as a room behind a closed door.
@@ -135,7 +135,7 @@ def _sample(site: Site, rng: np.random.Generator, clearance: float, region: NDAr
 def _between(site: Site, start: PlanarPose, goal: PlanarPose, keys: tuple[str, str]) -> Places:
     endpoints = f"{_text(start)} to {_text(goal)} in scene {quoted(site.scene_name)}"
     try:
-        shortest, path = site.shortest(start[:2], goal[:2])
+        shortest, path = site.space.shortest(start[:2], goal[:2])
     except SceneError as error:
         if site.closed_doors_block(start[:2], goal[:2]):
             raise NoPlaceError(

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from itertools import pairwise
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from gibson_sim.description.body import BodySpec
-from gibson_sim.errors import ConfigError, SceneError
-from gibson_sim.geometry.rasterise import Grid
+from gibson_sim.errors import ConfigError
 from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.free_space import XY, FreeSpace
 from gibson_sim.maps.named_poses import NamedPose, named_poses
-from gibson_sim.maps.paths import PathPlanner, path_length
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import RobotSpec
@@ -28,10 +26,6 @@ from gibson_sim.trials.scenario.keys import ALL
 
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
-XY = tuple[float, float]
-
-MARGIN = 0.04
-"""Clearance of paths in addition to the robot's radius, metres: a path without any cannot be driven."""
 WIDE_MARGIN = 0.15
 """Clearance of the path that objects leave free, if such a path exists without them, m: enough for a stack's noise and inflation."""
 _HANDLES = ("handle", "lever", "knob")
@@ -40,8 +34,6 @@ _SAME_FLOOR = 0.5
 """Largest difference between the height of a pose and that of the floor, metres."""
 _SWING_STEPS = 12
 """Number of sampled positions of a closing door: its edge moves by less than 0.15 m between two of them."""
-_SAMPLES_PER_CELL = 4
-"""Number of points of a path looked up per cell of its length."""
 _MAX_NAMED = 8
 """Number of poses that a message names."""
 
@@ -125,33 +117,13 @@ class Site:
     closed_doors: tuple[str, ...] = ()
     swept: Bools | None = None
     """(H, W): mask of the cells that closing doors sweep; None = no door closes."""
-    _planners: dict[float, PathPlanner] = field(default_factory=dict)
-    _regions: dict[float, Bools] = field(default_factory=dict)
-    _paths: dict[tuple[XY, XY], tuple[float, F64]] = field(default_factory=dict)
     _wide: dict[tuple[XY, XY], bool] = field(default_factory=dict)
     """(start, goal) -> whether a path with a clearance of ``WIDE_MARGIN`` connects them."""
 
-    @property
-    def clearance(self) -> float:
-        """Distance that paths keep from obstacles, metres."""
-        return self.robot.radius + MARGIN
-
-    @property
-    def planner(self) -> PathPlanner:
-        """Planner of paths that keep ``clearance``."""
-        return self.planner_of(self.clearance)
-
-    def planner_of(self, radius: float) -> PathPlanner:
-        """Returns a planner whose paths keep ``radius`` from obstacles, metres."""
-        if radius not in self._planners:
-            self._planners[radius] = PathPlanner(self.floor, radius)
-        return self._planners[radius]
-
-    def free_region(self, clearance: float) -> Bools:
-        """Returns a mask (H, W) of the largest region whose cells have a clearance, metres."""
-        if clearance not in self._regions:
-            self._regions[clearance] = self.floor.largest_free_region(clearance)
-        return self._regions[clearance]
+    @cached_property
+    def space(self) -> FreeSpace:
+        """Free space of the robot on ``floor``."""
+        return FreeSpace(self.floor, self.robot.radius)
 
     @cached_property
     def swept_distance(self) -> F64:
@@ -165,40 +137,12 @@ class Site:
         """Named poses of the scene after loading with the robot, as the simulation lists them."""
         return named_poses(replace(self.open_scene, robots=(self.robot,)))
 
-    @property
-    def grid(self) -> Grid:
-        """The cells of the map."""
-        return Grid(self.floor.resolution, self.floor.origin, self.floor.shape)
-
-    def shortest(self, start: XY, goal: XY) -> tuple[float, F64]:
-        """Returns the length of the shortest path, metres, and its corners (K, 2).
-
-        Raises:
-            SceneError: no path exists.
-        """
-        if (start, goal) not in self._paths:
-            self._paths[start, goal] = _shortest(start, goal, self.planner_of, (self.clearance, self.robot.radius))
-        return self._paths[start, goal]
-
-    def shortest_on(self, floor: FloorMap, start: XY, goal: XY) -> tuple[float, F64]:
-        """Returns the length of the shortest path on another map, metres, and its corners (K, 2); raises SceneError if none exists."""
-        return _shortest(start, goal, partial(PathPlanner, floor), (self.clearance, self.robot.radius))
-
-    def is_clear(self, path: F64, floor: FloorMap) -> bool:
-        """Returns whether a path (K, 2), map frame, metres, keeps ``clearance`` from the obstacles of a map."""
-        allowed = floor.free & (floor.distance_to_obstacle >= self.clearance)
-        for a, b in pairwise(path):
-            count = int(np.linalg.norm(b - a) * _SAMPLES_PER_CELL / floor.resolution) + 2
-            if not floor.look_up(allowed, a + (b - a) * np.linspace(0.0, 1.0, count)[:, None], outside=False).all():
-                return False
-        return True
-
-    def connected(self, start: XY, goal: XY, floor: FloorMap) -> bool:
-        """Returns whether a map has a path between two points, with ``WIDE_MARGIN`` if the site has such a path, else with ``clearance``."""
+    def leaves_path(self, space: FreeSpace, start: XY, goal: XY) -> bool:
+        """Returns whether a free space has a path between two points, with ``WIDE_MARGIN`` if that of the site has such a path."""
         wide = self.robot.radius + WIDE_MARGIN
         if (start, goal) not in self._wide:
-            self._wide[start, goal] = _connected(start, goal, self.floor, wide)
-        return _connected(start, goal, floor, wide if self._wide[start, goal] else self.clearance)
+            self._wide[start, goal] = self.space.connected(start, goal, wide, snap=True)
+        return space.connected(start, goal, wide if self._wide[start, goal] else None, snap=True)
 
     def place_problem(self, xy: XY) -> str:
         """Returns why the robot cannot stand at a point, map frame, metres; empty = it can."""
@@ -262,33 +206,7 @@ class Site:
 
     def closed_doors_block(self, start: XY, goal: XY) -> bool:
         """Returns whether doors are closed and a path exists if they are open."""
-        return bool(self.closed_doors) and self.connected(start, goal, furnished_floor_map(self.open_scene, self.robot))
-
-
-def _shortest(start: XY, goal: XY, planner_of: Callable[[float], PathPlanner], radii: Sequence[float]) -> tuple[float, F64]:
-    """Returns the shortest path for the first of several clearances, metres, for which one exists.
-
-    Raises:
-        SceneError: no path exists for any of them.
-    """
-    for radius in radii[:-1]:
-        try:
-            path = planner_of(radius).path(start, goal)
-        except SceneError:
-            continue
-        return path_length(path), path
-    path = planner_of(radii[-1]).path(start, goal)
-    return path_length(path), path
-
-
-def _connected(start: XY, goal: XY, floor: FloorMap, clearance: float) -> bool:
-    """Returns whether a path with a clearance, metres, connects two points; faster than planning the path."""
-    labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= clearance), structure=np.ones((3, 3)))
-    cells = np.argwhere(labels > 0)
-    if not len(cells):
-        return False
-    ends = []
-    for place in (start, goal):
-        nearest_cell = cells[int(np.sum((floor.centers(cells) - np.asarray(place)) ** 2, axis=1).argmin())]
-        ends.append(int(labels[tuple(nearest_cell)]))
-    return ends[0] == ends[1]
+        if not self.closed_doors:
+            return False
+        opened = FreeSpace(furnished_floor_map(self.open_scene, self.robot), self.robot.radius)
+        return self.leaves_path(opened, start, goal)
