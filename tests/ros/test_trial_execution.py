@@ -30,9 +30,9 @@ from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
 from gibson_sim.ros.trials.trial_node import _ActionGoal  # noqa: E402
 from gibson_sim.trials.execution import execute, session  # noqa: E402
 from gibson_sim.trials.execution.monitor import RunMonitor  # noqa: E402
-from gibson_sim.trials.execution.plan import TrialPlan  # noqa: E402
+from gibson_sim.trials.execution.trial_node import TrialInput  # noqa: E402
 from gibson_sim.trials.records import Outcome, Person, PlacedObject, RunSpec  # noqa: E402
-from gibson_sim.trials.scenario_spec import GoalInterface, Limits, Ready, Scenario, StackSpec, Status  # noqa: E402
+from gibson_sim.trials.scenario.spec import GoalInterface, Limits, Ready, Scenario, StackSpec, Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
 STACKS = Path(__file__).parents[1] / "support" / "stacks"
@@ -240,7 +240,7 @@ def test_result_of_an_action_is_the_end(accepted: bool, status: int, end: str) -
 
     scenario = scenario_of("true")
     scenario = replace(scenario, stack=replace(scenario.stack, goal=GoalInterface("action", "go", "a_msgs/action/Go")))
-    monitor = RunMonitor(TrialPlan.of(scenario, run_in("room")))
+    monitor = RunMonitor(TrialInput.of(scenario, run_in("room")))
     goal = _ActionGoal.__new__(_ActionGoal)
     goal._monitor = monitor
     monitor.give_goal(0)

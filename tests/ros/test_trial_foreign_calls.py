@@ -16,7 +16,7 @@ require("rclpy", "gibson_msgs", "simulation_interfaces")
 from gibson_sim.trials.execution import execute  # noqa: E402
 from gibson_sim.trials.judging import judge  # noqa: E402
 from gibson_sim.trials.records import Person, PlacedObject, RunSpec  # noqa: E402
-from gibson_sim.trials.scenario_spec import Scenario, StackSpec, Status  # noqa: E402
+from gibson_sim.trials.scenario.spec import Scenario, StackSpec, Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
 STACKS = Path(__file__).parents[1] / "support" / "stacks"

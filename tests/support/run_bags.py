@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.bags.writer import BagWriter
 from gibson_sim.trials.records import Outcome, RunSpec
-from gibson_sim.trials.scenario_spec import Scenario, StackSpec, Verdicts
+from gibson_sim.trials.scenario.spec import Scenario, StackSpec, Verdicts
 
 SOURCE = Path(__file__).resolve().parents[2]
 NS = 1_000_000_000

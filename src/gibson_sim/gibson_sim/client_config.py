@@ -213,7 +213,7 @@ class TaskConfig:
 class TrialConfig:
     """Settings of the trial node, which sends the goal to the stack of a run, and ends the run; ``gibson-sim trial`` starts it."""
 
-    plan: str = setting("", "File with the plan of the run, written by `gibson-sim trial`")
+    input: str = setting("", "File with the run, the interface of its stack and its limits, written by `gibson-sim trial`")
     output: str = setting("", "File for a report of the run as JSON")
 
     def __post_init__(self) -> None:

@@ -14,13 +14,13 @@ import pytest
 from gibson_sim.cli import command_line
 from gibson_sim.cli.console import Console
 from gibson_sim.cli.parser import ExitCode
-from gibson_sim.cli.trial_progress import PlanProgress, TrialProgress
+from gibson_sim.cli.trial_progress import TrialProgress
 from gibson_sim.jobs.units import Unit, UnitResult
 from gibson_sim.trials import running
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report import page
 from gibson_sim.trials.report.results import write_results
-from gibson_sim.trials.scenario_spec import Scenario, StackSpec
+from gibson_sim.trials.scenario.spec import Scenario, StackSpec
 from support.trial_results import failed, passed, spec, trial
 
 
@@ -60,13 +60,12 @@ def backend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Made:
     scenario = Scenario("rooms", tmp_path / "rooms.yaml", ("linden_flat",), StackSpec(("true",), folder=tmp_path))
     made = Made()
     made.results = {number: passed(number) for number in range(4)}
-    monkeypatch.setattr("gibson_sim.trials.scenario.load.load_scenario", lambda path: scenario)
     monkeypatch.setattr(running, "load_scenario", lambda path: scenario)
     monkeypatch.setattr(
         "gibson_sim.trials.planning.plan.plan_runs",
         lambda scenario, numbers, on_progress: tuple(spec(number) for number in numbers or range(4)),
     )
-    monkeypatch.setattr("gibson_sim.cli.commands.trial._backend", lambda args: made)
+    monkeypatch.setattr(running, "backend_for", lambda workers, on_interrupt: made)
     monkeypatch.setattr(page, "scene_map", lambda scene: None)
     monkeypatch.chdir(tmp_path)
     return made
@@ -178,7 +177,7 @@ def test_a_decline_beyond_chance_ends_with_1_where_that_is_wanted(tmp_path: Path
         (("rooms.yaml", "--fail-if-worse"), "--fail-if-worse is for --compare"),
         (("rooms.yaml", "--resume"), "--resume needs --output DIR"),
         (("rooms.yaml", "--compare", "none.json"), "none.json: cannot be read: No such file"),
-        (("rooms.yaml", "--runs", "0"), "--runs is 0, must be at least 1"),
+        (("rooms.yaml", "--runs", "0"), "runs is 0, must be at least 1"),
         (("rooms.yaml", "--output", "."), "the folder already contains 'rooms.yaml'"),
     ],
 )
@@ -204,10 +203,10 @@ def test_all_mistakes_of_a_scenario_file_are_printed(tmp_path: Path, capsys: pyt
 
 def test_long_planning_reports_its_progress() -> None:
     now, shown = [0.0], io.StringIO()
-    progress = PlanProgress(console=Console(shown), clock=lambda: now[0])
+    progress = TrialProgress(console=Console(shown), clock=lambda: now[0])
     for at, done in ((0.0, 0), (1.9, 99), (4.0, 200), (13.9, 600), (14.0, 700), (20.0, 1000)):
         now[0] = at
-        progress.report(done, 1000)
+        progress.planned(done, 1000)
     progress.close()
     # A line after a moment, and one every ten seconds: 4 s for 200 runs, 14 s for 700.
     assert shown.getvalue() == "planning: 200 of 1000 runs, 16 s left\nplanning: 700 of 1000 runs, 6 s left\n"
@@ -215,7 +214,8 @@ def test_long_planning_reports_its_progress() -> None:
 
 def test_the_bar_reports_finished_and_current_runs() -> None:
     now = [0.0]
-    progress = TrialProgress(10, 2, console=Console(io.StringIO()), clock=lambda: now[0])
+    progress = TrialProgress(console=Console(io.StringIO()), clock=lambda: now[0])
+    progress.begins("rooms", 10, 2, Path("out"))
     assert progress.line() == "[####----------------] 2/10"
     now[0] = 20.0
     progress.report(3, "4.2 s")
@@ -232,8 +232,8 @@ def test_a_terminal_shows_the_bar_and_other_outputs_the_lines(capsys: pytest.Cap
             return True
 
     shown = Terminal()
-    progress = TrialProgress(1, console=Console(shown))
-    progress.begins()
+    progress = TrialProgress(console=Console(shown))
+    progress.begins("rooms", 1, 0, Path("out"))
     progress.add(passed(0))
     progress.close()
     assert "[####################] 1/1; 1 passed, 0 failed" in shown.getvalue()

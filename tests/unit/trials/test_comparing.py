@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from gibson_sim.trials.comparing.comparison import compare, percent
-from gibson_sim.trials.comparing.statistics import find_shift, least_significant_count, two_sided_binomial
+from gibson_sim.trials.comparison import compare, find_shift, least_significant_count, percent, two_sided_binomial
 from gibson_sim.trials.records import RunResult, Verdict
 from support.trial_results import failed, passed
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,14 +12,14 @@ from gibson_sim.errors import AlreadyRunningError, ConfigError, EnvironmentProbl
 from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.reach import PROFILE_VARIABLE
 from gibson_sim.trials.execution import check_stack
-from gibson_sim.trials.execution.domains import acquire_free_domain
 from gibson_sim.trials.execution.ending import exit_text, last_error, node_died, reported_ending, stack_died
 from gibson_sim.trials.execution.node_settings import node_settings, participants_of, stack_environment
-from gibson_sim.trials.execution.plan import TrialReport
+from gibson_sim.trials.execution.session import acquire_free_domain
 from gibson_sim.trials.execution.stack_log import StackLog
 from gibson_sim.trials.execution.supervisor import prepare_folder
+from gibson_sim.trials.execution.trial_node import TrialReport
 from gibson_sim.trials.records import RunSpec
-from gibson_sim.trials.scenario_spec import GoalInterface, Ready, Recording, Scenario, StackSpec
+from gibson_sim.trials.scenario.spec import GoalInterface, Ready, Recording, Scenario, StackSpec
 
 STACK = StackSpec((sys.executable, "-c", ""), lockstep=("cmd_vel every 0.05", "loc=pose after scan"))
 RUN = RunSpec(1, "flat", "gibson_bot", 7, (1.0, 2.0, 0.5), (2.5, 1.0, 0.0), 1.5, 0.18)
@@ -50,7 +49,6 @@ def test_files_of_a_run_are_named_by_their_place(tmp_path: Path) -> None:
     physics = node_settings(scenario_of(), run, tmp_path, tmp_path).physics
     assert Path(physics.robot).read_text() == "name: a\n"
     assert Path(physics.randomise).read_text() == "{}\n"
-    assert RunSpec.from_json(json.loads((tmp_path / "run.json").read_text())) == run
 
 
 def test_recorder_keeps_the_images_that_the_scenario_asks_for(tmp_path: Path) -> None:
@@ -69,7 +67,7 @@ def test_files_of_an_earlier_execution_are_removed(tmp_path: Path) -> None:
     (tmp_path / "bag" / "old.mcap").write_text("")
     (tmp_path / "stack.log").write_text("old")
     prepare_folder(RUN, tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["job", "run.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["job"]
 
 
 @pytest.mark.parametrize(

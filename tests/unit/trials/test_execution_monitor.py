@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import pytest
 
 from gibson_sim.trials.execution.monitor import Decision, RunMonitor
-from gibson_sim.trials.execution.plan import TrialPlan
+from gibson_sim.trials.execution.trial_node import TrialInput
+from gibson_sim.trials.json_values import json_text, restored
 from gibson_sim.trials.records import PlanarPose, RunSpec
-from gibson_sim.trials.scenario_spec import GoalInterface, Limits, Reached, Scenario, StackSpec, Status, Verdicts
+from gibson_sim.trials.scenario.spec import GoalInterface, Limits, Reached, Scenario, StackSpec, Status, Verdicts
 
 S = 10**9
 TICK = S // 10
@@ -22,7 +24,7 @@ TELLS = StackSpec(("stack",), status=Status("status"), lockstep=("cmd_vel every 
 
 def monitor_of(stack: StackSpec, reached: Reached = NEAR, limits: Limits = LIMITS) -> RunMonitor:
     scenario = Scenario("t", Path("t.yaml"), ("flat",), stack, limits=limits, verdicts=Verdicts(reached=reached))
-    return RunMonitor(TrialPlan.of(scenario, RunSpec(1, "flat", "gibson_bot", 0, AWAY, AT_GOAL, 2.0, 0.2)))
+    return RunMonitor(TrialInput.of(scenario, RunSpec(1, "flat", "gibson_bot", 0, AWAY, AT_GOAL, 2.0, 0.2)))
 
 
 def pass_time(monitor: RunMonitor, begin: float, end: float, pose: PlanarPose, speed: float) -> tuple[Decision | None, int]:
@@ -150,9 +152,9 @@ def test_silence_of_a_stack_that_has_told_its_end_is_that_end() -> None:
     assert monitor.silence(0.1) == Decision("reached", "the stack reports 'reached'", 3 * S)
 
 
-def test_plan_survives_its_file() -> None:
+def test_input_of_the_trial_node_survives_its_file() -> None:
     stack = StackSpec(("stack",), lockstep=("nav=cmd_vel every 0.05 from goal_pose", "pose after scan"))
     scenario = Scenario("t", Path("t.yaml"), ("flat",), stack, verdicts=Verdicts(reached=None))
-    plan = TrialPlan.of(scenario, RunSpec(1, "flat", "gibson_bot", 0, AWAY, AT_GOAL, 2.0, 0.2), "mark")
-    assert TrialPlan.from_json(plan.to_json()) == plan
-    assert (plan.answers, plan.lockstep, plan.goal_topic) == (("cmd_vel", "pose"), True, "goal_pose")
+    given = TrialInput.of(scenario, RunSpec(1, "flat", "gibson_bot", 0, AWAY, AT_GOAL, 2.0, 0.2), "mark")
+    assert restored(TrialInput, json.loads(json_text(given))) == given
+    assert (given.answers, given.lockstep, given.goal_topic) == (("cmd_vel", "pose"), True, "goal_pose")

@@ -11,7 +11,7 @@ import pytest
 from gibson_sim.errors import AlreadyRunningError
 from gibson_sim.trials.execution import session
 from gibson_sim.trials.execution.session import SessionPool
-from gibson_sim.trials.scenario_spec import StackSpec
+from gibson_sim.trials.scenario.spec import StackSpec
 
 STACK, OTHER = StackSpec(("mine",)), StackSpec(("yours",))
 DOMAINS = (7, 8)

@@ -11,7 +11,7 @@ from gibson_sim.description.shapes import Shape
 from gibson_sim.scenes.spawning import built_in_spawnables, load_spawnable
 from gibson_sim.trials.execution.walking import person_pose, person_urdf
 from gibson_sim.trials.records import Person
-from gibson_sim.trials.scenario_spec import PersonRule
+from gibson_sim.trials.scenario.spec import PersonRule
 from gibson_sim.types import Pose
 
 ANNA = Person("anna", ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0)), 0.5, 0.25, 1.75)

@@ -16,7 +16,7 @@ from gibson_sim.trials.execution.walking import person_pose
 from gibson_sim.trials.foreign_calls import JournalEntry, foreign_calls
 from gibson_sim.trials.judging import judge
 from gibson_sim.trials.records import Outcome, Person, PlacedObject, RunResult
-from gibson_sim.trials.scenario_spec import Scenario
+from gibson_sim.trials.scenario.spec import Scenario
 from support.run_bags import Run, messages, ns, planned, scenario
 
 ANNA = Person("anna", ((0.0, 0.0), (3.0, 4.0), (3.0, 9.0)), 0.8, 0.25, 1.75)

@@ -13,7 +13,7 @@ import pytest
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.trials.judging import judge
 from gibson_sim.trials.records import RunResult, Verdict
-from gibson_sim.trials.scenario_spec import RateLimit, Reached, Region
+from gibson_sim.trials.scenario.spec import RateLimit, Reached, Region
 from support.run_bags import DRIVES_THERE, Run, along, commands, messages, ns, planned, scenario, until
 
 ROOM = Region("room", ((0.0, 0.0), (10.0, 0.0), (10.0, 4.0), (0.0, 4.0)))

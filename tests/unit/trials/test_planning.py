@@ -18,11 +18,12 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.trials.json_values import json_text, json_values, restored
 from gibson_sim.trials.planning.plan import plan_runs
 from gibson_sim.trials.planning.seeds import seed_of, stream
 from gibson_sim.trials.records import RunSpec
 from gibson_sim.trials.scenario.load import ScenarioError, load_scenario
-from gibson_sim.trials.scenario_spec import (
+from gibson_sim.trials.scenario.spec import (
     InitialPose,
     Obstacles,
     PersonRule,
@@ -71,7 +72,7 @@ def test_runs_are_planned_by_number_as_among_all() -> None:
     assert [(run.number, run.robot) for run in runs] == [(1, "gibson_bot"), (3, "skid_bot")]
     assert told == [(0, 2), (1, 2), (2, 2)]
     for number in (-1, 8):
-        with pytest.raises(ConfigError, match=f"--run {number} does not exist; the plan has runs 0 to 7"):
+        with pytest.raises(ConfigError, match=f"run {number} does not exist; the plan has runs 0 to 7"):
             plan_runs(given, [number])
 
 
@@ -117,9 +118,10 @@ def test_equal_scenarios_give_equal_plans_in_another_process(tmp_path: Path) -> 
     code = (
         "import json, sys; from gibson_sim.trials.planning.plan import plan_runs; "
         "from gibson_sim.trials.scenario.load import load_scenario; "
-        "print(json.dumps([run.to_json() for run in plan_runs(load_scenario(sys.argv[1]))]))"
+        "from gibson_sim.trials.json_values import json_values; "
+        "print(json.dumps(json_values(plan_runs(load_scenario(sys.argv[1])))))"
     )
-    here = json.dumps([run.to_json() for run in plan_runs(load_scenario(file))])
+    here = json.dumps(json_values(plan_runs(load_scenario(file))))
     done = subprocess.run(
         [sys.executable, "-c", code, str(file)],
         env={**os.environ, "PYTHONHASHSEED": "7"},
@@ -319,4 +321,4 @@ def test_runs_survive_json() -> None:
     for run in plan_runs(
         scenario(obstacles=rules, randomise=Randomisation(slip=(0.0, 0.1)), starts=(FIRST,), goals=(SECOND,), runs=2)
     ):
-        assert RunSpec.from_json(json.loads(json.dumps(run.to_json()))) == run
+        assert restored(RunSpec, json.loads(json_text(run))) == run

@@ -17,7 +17,7 @@ from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.trials.planning.plan import plan_runs
 from gibson_sim.trials.planning.robots import VariedRobot, check_variants
 from gibson_sim.trials.scenario.load import ScenarioError
-from gibson_sim.trials.scenario_spec import Randomisation, Scenario, StackSpec
+from gibson_sim.trials.scenario.spec import Randomisation, Scenario, StackSpec
 
 
 def varied(folder: Path, name: str, drawn: Mapping[str, float]) -> RobotSpec:

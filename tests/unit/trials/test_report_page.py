@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gibson_sim.trials.comparing.comparison import compare
+from gibson_sim.trials.comparison import compare
 from gibson_sim.trials.records import Cause, PlacedObject, RunResult, Verdict
 from gibson_sim.trials.report.maps import SceneMap, map_svg, scene_map
 from gibson_sim.trials.report.page import trial_page

@@ -10,7 +10,7 @@ import pytest
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.resources import list_scenes
 from gibson_sim.trials.scenario.load import ScenarioError, load_scenario
-from gibson_sim.trials.scenario_spec import (
+from gibson_sim.trials.scenario.spec import (
     GoalInterface,
     InitialPose,
     PersonRule,

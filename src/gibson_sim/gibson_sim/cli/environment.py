@@ -1,10 +1,9 @@
-"""Options of ROS domain and reach, and checks of installed packages; ``processes.environment`` creates the environment of nodes."""
+"""Options of ROS domain and reach; ``processes.environment`` creates and checks the environment of nodes."""
 
 from __future__ import annotations
 
 import argparse
 import socket
-import sys
 
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.processes.environment import (
@@ -13,6 +12,7 @@ from gibson_sim.processes.environment import (
     enclave_variables as enclave_variables,
     in_wheels as in_wheels,
     node_environment as node_environment,
+    require_nodes as require_nodes,
 )
 from gibson_sim.reach import REACHES
 
@@ -42,22 +42,6 @@ def environment_of(args: argparse.Namespace) -> dict[str, str]:
     environment = node_environment(domain_id=args.domain_id, reach=args.reach)
     domain_of(environment)
     return environment
-
-
-def require_nodes() -> None:
-    """Checks that the packages of the nodes are installed, without importing them.
-
-    Raises:
-        EnvironmentProblemError: a package is missing; the message names it and the remedy.
-    """
-    from importlib.util import find_spec
-
-    missing = [name for name in ("rclpy", "gibson_msgs", "pybullet", "moderngl") if find_spec(name) is None]
-    if missing:
-        raise EnvironmentProblemError(
-            f"this Python ({sys.executable}) has no {', '.join(missing)}: run `make setup` and use .venv/bin/gibson-sim, "
-            "or pip install 'gibson_sim[ros]', or source your ROS workspace"
-        )
 
 
 def require_foxglove() -> None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from gibson_sim.cli.console import CONSOLE, Console
+from gibson_sim.cli.workers import report_interrupt
 from gibson_sim.durations import duration_text
+from gibson_sim.trials.comparison import runs_text
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.words import run_line
+from gibson_sim.trials.running import Progress
 
 _BAR = 20
 """Length of the bar, characters."""
@@ -21,8 +25,11 @@ _PERIOD_S = 10.0
 """Interval between two lines about planning without a terminal, seconds of wall time."""
 
 
-class PlanProgress:
-    """Reports the number of planned runs, if planning takes long: a bar on a terminal, occasional lines otherwise.
+class TrialProgress(Progress):
+    """Reports a trial on the console.
+
+    While it is planned: the number of planned runs, if planning takes long. While runs are executed: the numbers of completed and passed runs,
+    the remaining time, and the active runs.
 
     Args:
         console: receives the output.
@@ -33,9 +40,11 @@ class PlanProgress:
         self._console, self._clock = console, clock
         self._began = clock()
         self._last_report = self._began + _QUIET_S - _PERIOD_S
+        self._total = self._before = self._done = self._passed = 0
+        self._now: dict[int, str] = {}
 
-    def report(self, done: int, total: int) -> None:
-        """Reports that ``done`` of ``total`` runs are planned."""
+    def planned(self, done: int, total: int) -> None:
+        """Reports that ``done`` of ``total`` runs are planned: as a bar on a terminal, in occasional lines otherwise."""
         now = self._clock()
         if now - self._began < _QUIET_S or done == total:
             return
@@ -47,31 +56,11 @@ class PlanProgress:
             self._last_report = now
             self._console.write(line)
 
-    def close(self) -> None:
-        """Removes the bar."""
-        self._console.status("")
-
-
-class TrialProgress:
-    """Reports the numbers of completed and passed runs, the remaining time, and the active runs.
-
-    Args:
-        total: number of planned runs.
-        before: number of earlier results, whose runs are not repeated.
-        console: shows the bar.
-        clock: returns wall time, seconds.
-    """
-
-    def __init__(
-        self, total: int, before: int = 0, *, console: Console = CONSOLE, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._total, self._before, self._console, self._clock = total, before, console, clock
-        self._began = clock()
-        self._done = self._passed = 0
-        self._now: dict[int, str] = {}
-
-    def begins(self) -> None:
-        """Shows the bar."""
+    def begins(self, name: str, total: int, done: int, folder: Path) -> None:
+        """Prints what is executed, and shows the bar."""
+        already_done = f", {done} of them already done" if done else ""
+        self._console.write(f"{name}: {runs_text(total)}{already_done}; results go into {folder}")
+        self._total, self._before, self._began = total, done, self._clock()
         self._show()
 
     def report(self, number: int, text: str) -> None:
@@ -89,6 +78,10 @@ class TrialProgress:
         elif not (result.passed and self._console.is_terminal):
             self._console.write(run_line(result))
         self._show()
+
+    def interrupted(self, running: int) -> None:
+        """Prints what happens after Ctrl-C."""
+        report_interrupt("runs", running)
 
     def close(self) -> None:
         """Removes the bar."""

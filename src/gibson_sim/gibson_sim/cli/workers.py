@@ -29,6 +29,23 @@ def add_workers(parser: Any, what: str) -> None:
     )
 
 
+def workers_of(args: argparse.Namespace, default: int | None = None) -> int | str | None:
+    """Returns the number of workers, or the address of a Ray cluster; None = neither option is given, and there is no default.
+
+    Args:
+        args: parsed arguments with the options.
+        default: number of workers if neither option is given.
+
+    Raises:
+        ConfigError: both are given.
+    """
+    if args.ray is None:
+        return default if args.workers is None else int(args.workers)
+    if args.workers is not None:
+        raise ConfigError("--workers and --ray exclude each other: the cluster decides how many units run at the same time")
+    return str(args.ray)
+
+
 def backend_of(args: argparse.Namespace, what: str = "units of work", default: int | None = None) -> Backend | None:
     """Returns the backend that executes the units; None = neither option is given, and there is no default.
 
@@ -40,21 +57,13 @@ def backend_of(args: argparse.Namespace, what: str = "units of work", default: i
     Raises:
         GibsonSimError: both are given, or one is not possible on this machine.
     """
-    if args.ray is not None:
-        if args.workers is not None:
-            raise ConfigError("--workers and --ray exclude each other: the cluster decides how many units run at the same time")
-        from gibson_sim.jobs.ray_cluster import RayCluster
+    from gibson_sim.jobs.units import backend_for
 
-        return RayCluster(args.ray, on_interrupt=partial(_report_interrupt, what))
-    count = default if args.workers is None else args.workers
-    if count is None:
-        return None
-    from gibson_sim.jobs.local import LocalWorkers
-
-    return LocalWorkers(count, on_interrupt=partial(_report_interrupt, what))
+    workers = workers_of(args, default)
+    return None if workers is None else backend_for(workers, partial(report_interrupt, what))
 
 
-def _report_interrupt(what: str, running: int) -> None:
+def report_interrupt(what: str, running: int) -> None:
     """Prints what happens after Ctrl-C, since it takes a few seconds; ``running``: number of running units, 0 = unknown."""
     say(
         f"interrupted: ending {f'{running} {what}' if running else what}, and all their processes; Ctrl-C again does not wait for them"

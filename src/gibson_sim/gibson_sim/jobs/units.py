@@ -113,6 +113,26 @@ class Backend(Protocol):
         ...
 
 
+def backend_for(workers: int | str, on_interrupt: Callable[[int], None] = lambda running: None) -> Backend:
+    """Returns the backend for a number of worker processes of this machine, or for the address of a Ray cluster.
+
+    Args:
+        workers: the number, or the address, such as ``auto`` or ``10.0.0.5:6379``.
+        on_interrupt: called at the first Ctrl-C with the number of running units, before they are ended; 0 = unknown.
+
+    Raises:
+        GibsonSimError: the number is not allowed, or Ray is not installed.
+    """
+    # Imported here: each backend builds on this module, and only one is needed.
+    if isinstance(workers, str):
+        from gibson_sim.jobs.ray_cluster import RayCluster
+
+        return RayCluster(workers, on_interrupt=on_interrupt)
+    from gibson_sim.jobs.local import LocalWorkers
+
+    return LocalWorkers(workers, on_interrupt=on_interrupt)
+
+
 def never() -> bool:
     """Returns False."""
     return False

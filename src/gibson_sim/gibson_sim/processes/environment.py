@@ -6,6 +6,7 @@ import os
 import socket
 import sys
 from collections.abc import Mapping, MutableMapping
+from importlib.util import find_spec
 from pathlib import Path
 
 from gibson_sim.errors import EnvironmentProblemError
@@ -16,6 +17,20 @@ RMW = "rmw_fastrtps_cpp"
 _WHEELS_READY = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 """Variable by which the ROS wheels mark that the library path is set."""
 SECURITY_VARIABLE, ENCLAVE_VARIABLE = "ROS_SECURITY_ENABLE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
+
+
+def require_nodes() -> None:
+    """Checks that the packages of the nodes are installed, without importing them.
+
+    Raises:
+        EnvironmentProblemError: a package is missing; the message names it and the remedy.
+    """
+    missing = [name for name in ("rclpy", "gibson_msgs", "pybullet", "moderngl") if find_spec(name) is None]
+    if missing:
+        raise EnvironmentProblemError(
+            f"this Python ({sys.executable}) has no {', '.join(missing)}: run `make setup` and use .venv/bin/gibson-sim, "
+            "or pip install 'gibson_sim[ros]', or source your ROS workspace"
+        )
 
 
 def node_environment(

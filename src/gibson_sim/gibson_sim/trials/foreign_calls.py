@@ -18,7 +18,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.standard.requests import CONTROLS, EPOCH_REQUESTS
 from gibson_sim.trials.execution.walking import person_pose
 from gibson_sim.trials.records import Outcome, Person, PlanarPose, RunSpec
-from gibson_sim.trials.scenario_spec import Scenario
+from gibson_sim.trials.scenario.spec import Scenario
 from gibson_sim.types import NS_PER_S, WORLD_FRAME
 
 TIME_CONTROL = "time_control"

@@ -1,19 +1,11 @@
-"""Records of a trial: planned run, outcome and result, each stored as JSON in the folder of the run.
-
-::
-
-    OUT/results.json            the whole trial: scenario and all results
-    OUT/runs/0007/run.json      RunSpec
-    OUT/runs/0007/outcome.json  Outcome
-    OUT/runs/0007/result.json   RunResult
-    OUT/runs/0007/bag/          rosbag2, with /inputs, /run_info and /tick_digest for bit-exact replay
-    OUT/runs/0007/stack.log, simulation.log
-"""
+"""Records of a trial: planned run, outcome and result; ``run_folder`` stores each as JSON in the folder of the run."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
+
+from gibson_sim.trials.json_values import json_values, restored
 
 PlanarPose = tuple[float, float, float]
 """x, y, yaw: map frame, metres and radians."""
@@ -77,23 +69,6 @@ class RunSpec:
     files: dict[str, str] = field(default_factory=dict)
     """Text files of the run by path relative to its folder, such as ``robot/robot.yaml``."""
 
-    def to_json(self) -> dict[str, Any]:
-        """Returns the run as JSON values."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> RunSpec:
-        """Restores a run from the values that ``to_json`` returned."""
-        return cls(**{
-            **values,
-            "start": tuple(values["start"]),
-            "goal": tuple(values["goal"]),
-            "initial_error": tuple(values["initial_error"]),
-            "things": tuple(PlacedObject(**{**o, "pose": tuple(o["pose"])}) for o in values["things"]),
-            "closed_doors": tuple(values["closed_doors"]),
-            "people": tuple(Person(**{**p, "path": tuple(map(tuple, p["path"]))}) for p in values["people"]),
-        })  # fmt: skip
-
 
 End = Literal[
     "reached",  # the stack reports it, or the robot stands at the goal
@@ -145,10 +120,6 @@ class Outcome:
     """Wall time during which simulation time advanced."""
     ending_s: float = 0.0
     """Wall time from the last tick until all processes had ended."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns the outcome as JSON values."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,16 +192,11 @@ class RunResult:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the result as JSON values, with ``passed`` and without the run's files, which are in its folder."""
-        return {"passed": self.passed, **asdict(replace(self, run=replace(self.run, files={})))}
+        values: dict[str, Any] = json_values(replace(self, run=replace(self.run, files={})))
+        return {"passed": self.passed, **values}
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> RunResult:
-        """Restores a result from the values that ``to_json`` returned; its run has no files."""
-        return cls(
-            RunSpec.from_json(values["run"]),
-            Outcome(**values["outcome"]),
-            tuple(Verdict(**verdict) for verdict in values["verdicts"]),
-            values["measures"],
-            values["digest"],
-            Cause(**values["cause"]) if values["cause"] else None,
-        )
+        """Restores a result from the values that ``to_json`` returned; its run has no files, and measures that were not finite are omitted."""
+        measures = {name: value for name, value in values["measures"].items() if value is not None}
+        return restored(cls, {**{name: value for name, value in values.items() if name != "passed"}, "measures": measures})

@@ -8,6 +8,7 @@ follows.
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable, Iterable
@@ -44,9 +45,10 @@ from gibson_sim.standard.openings import joint_openings
 from gibson_sim.standard.requests import CHANGING_REQUESTS
 from gibson_sim.trials.execution.monitor import Decision, RunMonitor
 from gibson_sim.trials.execution.node_settings import POSE_TYPE
-from gibson_sim.trials.execution.plan import CLOCK, IMAGES, MARKER, PROGRESS, TrialPlan, TrialReport
+from gibson_sim.trials.execution.trial_node import CLOCK, IMAGES, MARKER, PROGRESS, TrialInput, TrialReport
 from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, person_urdf
 from gibson_sim.trials.foreign_calls import JournalEntry
+from gibson_sim.trials.json_values import json_values, restored
 from gibson_sim.trials.records import PAUSE, REFUSED_GOAL, PlanarPose
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
 
@@ -112,7 +114,7 @@ class TrialNode(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Reads the plan. ``kwargs`` go to ``rclpy.node.Node``.
+        """Reads the given. ``kwargs`` go to ``rclpy.node.Node``.
 
         Raises:
             ConfigError: the goal does not fit the type of the service or action.
@@ -120,8 +122,8 @@ class TrialNode(Node):
         """
         super().__init__("trial", **kwargs)
         self._config = config_from_parameters(self, TrialConfig)
-        self._plan = plan = TrialPlan.from_json(read_file(Path(self._config.plan)).decode())
-        self._monitor = RunMonitor(plan)
+        self._input = given = restored(TrialInput, json.loads(read_file(Path(self._config.input))))
+        self._monitor = RunMonitor(given)
         self._report = TrialReport()
         self._decision: Decision | None = None
         self._start_s = self._last_tick_s = time.monotonic()
@@ -140,30 +142,30 @@ class TrialNode(Node):
         self._scene: Any = None
         self._doors: dict[str, float] | None = None
         """Joint of a door to close -> its closed position, rad or m; None = not known yet."""
-        self._ready_topic = _ReadyTopic(self, plan.ready.topic) if plan.ready.topic else None
+        self._ready_topic = _ReadyTopic(self, given.ready.topic) if given.ready.topic else None
         self._executor = make_executor()
         self._executor.add_node(self)
         self._make_interfaces()
-        self._goal = _goal_of(self, plan, self._monitor)
-        self._initial_pub = self._publisher(PoseWithCovarianceStamped, plan.initial_pose.topic)
+        self._goal = _goal_of(self, given, self._monitor)
+        self._initial_pub = self._publisher(PoseWithCovarianceStamped, given.initial_pose.topic)
         self._initial_sent = False
-        self._lockstep = LockstepParticipant(self) if plan.lockstep else None
+        self._lockstep = LockstepParticipant(self) if given.lockstep else None
 
     def _make_interfaces(self) -> None:
-        plan = self._plan
+        given = self._input
         self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_truth, qos.STATE)
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         self.create_subscription(Input, names.TIME_CONTROL, self._on_time_control, qos.INPUTS)
-        if plan.status.topic:
-            self.create_subscription(String, plan.status.topic, lambda msg: self._monitor.receive_status(msg.data), qos.COMMAND)
-        if plan.run.closed_doors:
+        if given.status.topic:
+            self.create_subscription(String, given.status.topic, lambda msg: self._monitor.receive_status(msg.data), qos.COMMAND)
+        if given.run.closed_doors:
             self._door_pub = self.create_publisher(JointState, names.OBJECT_JOINT_COMMAND, qos.LATCHED)
             kind = _class_of(message_class, "control_msgs/msg/DynamicJointState")
             self.create_subscription(kind, names.OBJECT_JOINT_STATES, self._on_joints, qos.LATCHED)
         self._spawn = self.create_client(srv.SpawnEntity, "spawn_entity")
         self._place = self.create_client(srv.SetEntityState, "set_entity_state")
         self._set_state = self.create_client(srv.SetSimulationState, "set_simulation_state")
-        node = plan.ready.node
+        node = given.ready.node
         self._lifecycle = (
             self.create_client(_class_of(service_class, "lifecycle_msgs/srv/GetState"), f"{node}/get_state") if node else None
         )
@@ -186,7 +188,7 @@ class TrialNode(Node):
             self._report_progress()
             if self._lockstep is not None and self._decision is None:
                 silence_s = time.monotonic() - self._last_tick_s
-                if silence_s > self._plan.limits.silence or (self._monitor.end_was_reported and self._is_idle(silence_s)):
+                if silence_s > self._input.limits.silence or (self._monitor.end_was_reported and self._is_idle(silence_s)):
                     self._decision = self._monitor.silence(silence_s)
         return 0
 
@@ -200,14 +202,14 @@ class TrialNode(Node):
             if self._idle_checks == 0:
                 self._busy = set(siblings())
             self._busy = {process_id for process_id in self._busy if any_runs([process_id])}
-            self._idle_checks = 0 if any_runs(marked(self._plan.marker, MARKER)) else self._idle_checks + 1
+            self._idle_checks = 0 if any_runs(marked(self._input.marker, MARKER)) else self._idle_checks + 1
         return self._idle_checks >= IDLE_CHECKS and not self._busy
 
     # Before the first tick
 
     def _set_up(self) -> None:
         """Spawns objects and people, and closes doors, while time stands still."""
-        run = self._plan.run
+        run = self._input.run
         for thing in run.things:
             self._spawn_at(thing.name, thing.object, "", thing.pose, thing.z)
         for person in run.people:
@@ -230,13 +232,13 @@ class TrialNode(Node):
         self._call(self._spawn, request)
 
     def _on_joints(self, msg: Any) -> None:
-        bodies = self._plan.run.closed_doors
+        bodies = self._input.run.closed_doors
         openings = joint_openings(conversions.joint_values(msg))
         self._doors = {name: joint.closed for name, joint in openings.items() if name.partition("/")[0] in bodies}
 
     def _wait_until_ready(self) -> None:
         """Waits until the stack is ready, and sends its initial pose and its goal; time stands still meanwhile if possible."""
-        limit_s = self._plan.ready.within
+        limit_s = self._input.ready.within
         available_s = math.inf
         while is_running() and self._decision is None:
             missing = self._missing()
@@ -256,13 +258,13 @@ class TrialNode(Node):
 
     def _missing(self) -> list[str]:
         """Returns descriptions of what the stack still lacks; sends the initial pose as soon as possible, since the rest may depend on it."""
-        ready, missing = self._plan.ready, []
+        ready, missing = self._input.ready, []
         if not self._is_settled():
             missing.append("no stable ROS graph")
         if not self._goal.is_available():
             missing.append(f"no {self._goal.description}")
         elif not missing:
-            if not self._plan.goal_from_ns:
+            if not self._input.goal_from_ns:
                 self._send_initial_pose()
             self._request_images()
         if self._ready_topic is not None and not self._ready_topic.is_met():
@@ -291,7 +293,7 @@ class TrialNode(Node):
         if self._initial_sent or publisher is None or not self._has_initial_pose_subscriber():
             return
         self._initial_sent = True
-        run, spec = self._plan.run, self._plan.initial_pose
+        run, spec = self._input.run, self._input.initial_pose
         x, y, yaw = _composed(run.start, run.initial_error)
         message = PoseWithCovarianceStamped(header=conversions.header_to_msg(max(0, self._monitor.now_ns), WORLD_FRAME))
         message.pose.pose = conversions.pose_to_msg(_pose((x, y, yaw)))
@@ -319,7 +321,7 @@ class TrialNode(Node):
     def _on_ready(self) -> None:
         """Sends the goal now if time stands still and the goal has no earliest time; otherwise a later tick sends it."""
         self._ready = True
-        if self._plan.goal_from_ns:
+        if self._input.goal_from_ns:
             self._play()
         elif not self._is_playing:
             self._monitor.give_goal(0)
@@ -369,7 +371,7 @@ class TrialNode(Node):
         self._report.ended_s = self._last_tick_s = now_s
         if self._decision is not None:
             return
-        if self._ready and self._monitor.goal_ns < 0 and stamp_ns >= self._plan.goal_from_ns:
+        if self._ready and self._monitor.goal_ns < 0 and stamp_ns >= self._input.goal_from_ns:
             self._send_initial_pose()
             self._monitor.give_goal(stamp_ns)
             self._goal.send(stamp_ns)
@@ -379,7 +381,7 @@ class TrialNode(Node):
         if self._decision is not None:
             return  # in lockstep, time stands still from now on
         self._ticks += 1
-        if self._plan.run.people and self._ticks % PERIOD_TICKS == 0:
+        if self._input.run.people and self._ticks % PERIOD_TICKS == 0:
             self._move_people(stamp_ns, partial(self._tick_done, msg.header.stamp))
         else:
             self._tick_done(msg.header.stamp)
@@ -390,7 +392,7 @@ class TrialNode(Node):
         entry = JournalEntry(stamp_ns, msg.step, msg.name, bytes(msg.data))
         if len(self._report.time_calls) < _MAX_TIME_CALLS and len(entry.data) <= _MAX_CALL_BYTES:
             self._report.time_calls.append([entry.stamp_ns, entry.step, entry.name, entry.data.hex()])
-        if self._decision is None and entry.kind not in self._plan.allowed_calls:
+        if self._decision is None and entry.kind not in self._input.allowed_calls:
             self._decision = Decision("simulation failed", f"foreign call: another node called {entry.description}", stamp_ns)
 
     def _tick_done(self, stamp: Any) -> None:
@@ -399,7 +401,7 @@ class TrialNode(Node):
 
     def _move_people(self, stamp_ns: int, on_end: Callable[[], None]) -> None:
         """Moves all people to their poses at a stamp, and calls ``on_end`` once the simulation has responded to all requests."""
-        people = self._plan.run.people
+        people = self._input.run.people
         pending = set(range(len(people)))
 
         def on_response(number: int, _: Any) -> None:
@@ -431,7 +433,7 @@ class TrialNode(Node):
             raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
 
     def _wait(self, condition: Callable[[], bool], awaited: str) -> None:
-        limit_s = max(_ANSWER_S, self._plan.ready.within)
+        limit_s = max(_ANSWER_S, self._input.ready.within)
         if not self._spin_until(condition, limit_s):
             if not is_running():
                 raise KeyboardInterrupt
@@ -478,7 +480,7 @@ class TrialNode(Node):
         if decision is not None:
             report.end, report.detail, report.decided_ns = decision.end, decision.detail, decision.decided_ns
         report.goal_ns, report.end_ns, report.status = monitor.goal_ns, monitor.now_ns, monitor.status
-        write_summary(self._config.output, report.to_json())
+        write_summary(self._config.output, json_values(report))
         self._executor.shutdown(timeout_sec=1.0)
 
 
@@ -582,8 +584,8 @@ class _ActionGoal:
         self._monitor.receive_result(status == _SUCCEEDED, texts.get(status, f"ended with status {status}"))
 
 
-def _goal_of(node: Node, plan: TrialPlan, monitor: RunMonitor) -> _TopicGoal | _ServiceGoal | _ActionGoal:
-    """Returns the sender of the goal of a plan.
+def _goal_of(node: Node, given: TrialInput, monitor: RunMonitor) -> _TopicGoal | _ServiceGoal | _ActionGoal:
+    """Returns the sender of the goal.
 
     Raises:
         GibsonSimError: the type is not installed, or the field is not a PoseStamped.
@@ -591,12 +593,12 @@ def _goal_of(node: Node, plan: TrialPlan, monitor: RunMonitor) -> _TopicGoal | _
 
     def message(stamp_ns: int) -> PoseStamped:
         msg = PoseStamped(header=conversions.header_to_msg(stamp_ns, WORLD_FRAME))
-        msg.pose = conversions.pose_to_msg(_pose(plan.run.goal))
+        msg.pose = conversions.pose_to_msg(_pose(given.run.goal))
         return msg
 
-    spec = plan.goal
-    if plan.goal_topic:
-        return _TopicGoal(node, plan.goal_topic, message)
+    spec = given.goal
+    if given.goal_topic:
+        return _TopicGoal(node, given.goal_topic, message)
     kind = _class_of(service_class, spec.type)
 
     def fill(request: Any, stamp_ns: int) -> Any:

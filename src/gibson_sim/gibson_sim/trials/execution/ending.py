@@ -7,7 +7,7 @@ import signal
 from dataclasses import dataclass
 
 from gibson_sim.quoting import clipped
-from gibson_sim.trials.execution.plan import TrialReport
+from gibson_sim.trials.execution.trial_node import TrialReport
 from gibson_sim.trials.records import End
 
 _ERROR = re.compile(r"(?:error: |\[?(?:ERROR|FATAL)\]?:? )(.+)")

@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass
 
 from gibson_sim.quoting import clipped
-from gibson_sim.trials.execution.plan import TrialPlan
+from gibson_sim.trials.execution.trial_node import TrialInput
 from gibson_sim.trials.records import End, PlanarPose
 from gibson_sim.types import NS_PER_S
 
@@ -41,9 +41,9 @@ class Decision:
 class RunMonitor:
     """Monitors a run after its goal was sent."""
 
-    def __init__(self, plan: TrialPlan) -> None:
-        self._plan = plan
-        self._reached, self._failed = re.compile(plan.status.reached), re.compile(plan.status.failed)
+    def __init__(self, given: TrialInput) -> None:
+        self._input = given
+        self._reached, self._failed = re.compile(given.status.reached), re.compile(given.status.failed)
         self.goal_ns = self.now_ns = -1
         """Stamps of the goal and of the latest tick, ns; -1 = none."""
         self.status = ""
@@ -87,17 +87,17 @@ class RunMonitor:
             self._still_since_ns = stamp_ns
         if self.goal_ns < 0:
             return None
-        goal, run_ns = self._plan.run.goal, stamp_ns - self.goal_ns
+        goal, run_ns = self._input.run.goal, stamp_ns - self.goal_ns
         self._distance = math.hypot(pose[0] - goal[0], pose[1] - goal[1])
         is_still = self._still_since_ns is not None and stamp_ns - self._still_since_ns >= STILL_NS
         if self._reported is not None:
             on_grid = before_ns >= 0 and run_ns // _GRID_NS > (before_ns - self.goal_ns) // _GRID_NS
             if (is_still and on_grid) or stamp_ns - self._reported.decided_ns >= PATIENCE_NS:
                 return self._reported
-        elif not self._plan.stack_reports and is_still and self._is_at_goal(pose):
+        elif not self._input.stack_reports and is_still and self._is_at_goal(pose):
             since_ns = max(self.goal_ns, self._still_since_ns or 0)
             return Decision("reached", f"the robot stands {self._distance:.3f} m from the goal", since_ns)
-        if run_ns >= self._plan.limits.time * NS_PER_S:
+        if run_ns >= self._input.limits.time * NS_PER_S:
             return self._reported or Decision("time limit", self._time_limit_text(run_ns), stamp_ns)
         return None
 
@@ -109,10 +109,10 @@ class RunMonitor:
         """
         if self._reported is not None:
             return self._reported  # a stack without a goal need not send commands
-        if waited_s < self._plan.limits.silence:
+        if waited_s < self._input.limits.silence:
             return None
-        limit, at = self._plan.limits.silence, max(self.now_ns, 0) / NS_PER_S
-        topics = ", ".join(self._plan.answers)
+        limit, at = self._input.limits.silence, max(self.now_ns, 0) / NS_PER_S
+        topics = ", ".join(self._input.answers)
         return Decision("stack silent", f"no message on {topics} within {limit:g} s of wall time, at {at:.3f} s", self.now_ns)
 
     @property
@@ -139,14 +139,14 @@ class RunMonitor:
         self._reported = Decision(end, detail, stamp_ns)
 
     def _is_at_goal(self, pose: PlanarPose) -> bool:
-        reached = self._plan.reached
+        reached = self._input.reached
         if reached is None or self._distance > reached.within:
             return False
-        yaw_error = math.remainder(pose[2] - self._plan.run.goal[2], 2.0 * math.pi)
+        yaw_error = math.remainder(pose[2] - self._input.run.goal[2], 2.0 * math.pi)
         return reached.yaw_within_deg is None or abs(yaw_error) <= math.radians(reached.yaw_within_deg)
 
     def _time_limit_text(self, run_ns: int) -> str:
-        return f"{run_ns / NS_PER_S:g} s after the goal was sent, {self._distance:.2f} m from it; the limit is {self._plan.limits.time:g} s"
+        return f"{run_ns / NS_PER_S:g} s after the goal was sent, {self._distance:.2f} m from it; the limit is {self._input.limits.time:g} s"
 
 
 def _bounded(text: str) -> str:

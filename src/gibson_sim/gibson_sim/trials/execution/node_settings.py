@@ -18,14 +18,13 @@ from gibson_sim.errors import ConfigError, EnvironmentProblemError
 from gibson_sim.quoting import quoted
 from gibson_sim.reach import LOCAL, reach_variables
 from gibson_sim.settings import nearest
-from gibson_sim.trials.execution.plan import MARKER, PLAN, REPORT
+from gibson_sim.trials.execution.trial_node import INPUT, MARKER, REPORT
 from gibson_sim.trials.records import RunSpec
-from gibson_sim.trials.scenario_spec import GoalInterface, Scenario, StackSpec
+from gibson_sim.trials.run_folder import BAG
+from gibson_sim.trials.scenario.spec import GoalInterface, Scenario, StackSpec
 
 MAX_TICK_S = 86_400.0
 """Timeout of the physics node for a lockstep tick, seconds: the trial node, which knows whether the stack has a goal, ends a run earlier."""
-BAG = "bag"
-"""Folder of the bag in the folder of the run."""
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(action|srv)/[A-Za-z]\w*")
 _MAX_LISTED = 10
 """Number of types of a package that a message lists."""
@@ -171,7 +170,7 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
     return NodeSettings(
         PhysicsConfig(**values),
         RecordConfig(output=str(folder / BAG), record_images=scenario.record.images, summary_path=str(job / "record.json")),
-        TrialConfig(plan=str(job / PLAN), output=str(job / REPORT)),
+        TrialConfig(input=str(job / INPUT), output=str(job / REPORT)),
         RenderConfig(digests=True, summary_path=str(job / "render.json")),
     )
 

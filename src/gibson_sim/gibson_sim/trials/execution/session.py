@@ -13,16 +13,18 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.errors import AlreadyRunningError, GibsonSimError
 from gibson_sim.processes.descendants import end_marked
+from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.processes.environment import node_environment
 from gibson_sim.processes.shared_memory import remove_dead_segments
-from gibson_sim.trials.execution.domains import acquire_free_domain
 from gibson_sim.trials.execution.node_server import REST, SERVERS
 from gibson_sim.trials.execution.node_settings import stack_environment
-from gibson_sim.trials.execution.plan import MARKER
-from gibson_sim.trials.scenario_spec import StackSpec
+from gibson_sim.trials.execution.trial_node import MARKER
+from gibson_sim.trials.scenario.spec import StackSpec
 
+DOMAINS = range(1, 102)
+"""ROS domains whose ports lie below the kernel's range of ephemeral ports."""
 STACK = "stack"
 """Name of the stack's process in the node server."""
 NODE_GRACE_S = ((signal.SIGINT, 10.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
@@ -32,6 +34,28 @@ _PERIOD_S = 0.02
 """Period of polling for exited processes, seconds of wall time."""
 _CHUNK = 1 << 20
 """Size of one read of output, bytes."""
+
+
+def acquire_free_domain(domains: Sequence[int] = DOMAINS, start: int | None = None) -> tuple[int, DomainLock]:
+    """Locks a domain in which no simulation runs; returns the domain and its lock.
+
+    Args:
+        domains: candidates.
+        start: index of the first candidate tried; None = depends on the process id.
+
+    Raises:
+        AlreadyRunningError: a simulation runs in each candidate.
+    """
+    first = os.getpid() * 7 if start is None else start
+    for number in range(len(domains)):
+        domain = domains[(first + number) % len(domains)]
+        try:
+            return domain, DomainLock(domain)
+        except AlreadyRunningError:
+            continue
+    raise AlreadyRunningError(
+        f"a simulation runs in each of the ROS domains {domains[0]} to {domains[-1]}: wait until one ends, or stop one"
+    )
 
 
 class Session:

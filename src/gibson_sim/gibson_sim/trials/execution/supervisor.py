@@ -16,15 +16,16 @@ from typing import Any
 
 from gibson_sim.processes.job_folder import LOADED, VARIABLE, read_note
 from gibson_sim.processes.shared_memory import remove_dead_segments
-from gibson_sim.trials.execution.domains import DOMAINS
 from gibson_sim.trials.execution.ending import Ending, node_died, reported_ending, server_died, stack_died
 from gibson_sim.trials.execution.monitor import STILL_NS
-from gibson_sim.trials.execution.node_settings import BAG, NodeSettings, check_stack, node_settings
-from gibson_sim.trials.execution.plan import CLOCK, IMAGES, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
-from gibson_sim.trials.execution.session import SESSIONS, STACK, Session
+from gibson_sim.trials.execution.node_settings import NodeSettings, check_stack, node_settings
+from gibson_sim.trials.execution.session import DOMAINS, SESSIONS, STACK, Session
 from gibson_sim.trials.execution.stack_log import StackLog
+from gibson_sim.trials.execution.trial_node import CLOCK, IMAGES, INPUT, PROGRESS, REPORT, TrialInput, TrialReport
+from gibson_sim.trials.json_values import json_text
 from gibson_sim.trials.records import Outcome, RunSpec
-from gibson_sim.trials.scenario_spec import Scenario
+from gibson_sim.trials.run_folder import BAG, SIMULATION_LOG, STACK_LOG, remove_results, write_outcome
+from gibson_sim.trials.scenario.spec import Scenario
 from gibson_sim.types import NS_PER_S
 from gibson_sim.writing import write_file
 
@@ -56,7 +57,7 @@ def execute(
     on_progress: Callable[[str], None] = lambda text: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Outcome:
-    """Executes one run; leaves only its folder behind: run.json, outcome.json, bag, stack.log, simulation.log.
+    """Executes one run; leaves only its folder behind: outcome.json, bag, stack.log, simulation.log, and the files of the run.
 
     Args:
         scenario: scenario of the trial.
@@ -87,7 +88,7 @@ def execute(
     # Only after the old stack has ended: two at once could need the same port or file.
     if followed and not kept and not stop():
         SESSIONS.prepare(scenario.stack, domains)
-    write_file(folder / "outcome.json", json.dumps(outcome.to_json(), indent=1) + "\n", durable=False)
+    write_outcome(outcome, folder)
     return outcome
 
 
@@ -95,10 +96,8 @@ def prepare_folder(run: RunSpec, folder: Path) -> None:
     """Creates the folder of a run with its files and removes the files of an earlier execution."""
     for name in (BAG, JOB):
         shutil.rmtree(folder / name, ignore_errors=True)
-    for name in ("outcome.json", "result.json", "stack.log", "simulation.log"):
-        (folder / name).unlink(missing_ok=True)
+    remove_results(folder)
     (folder / JOB).mkdir(parents=True)
-    write_file(folder / "run.json", json.dumps(run.to_json(), indent=1) + "\n", durable=False)
     for name, text in run.files.items():
         write_file(folder / name, text, durable=False)
 
@@ -113,9 +112,9 @@ class _Run:
         """``kept``: whether the stack has served an earlier run."""
         self._scenario, self._folder, self._job, self._settings = scenario, folder, folder / JOB, settings
         self._session, self._server, self._on_progress, self._stop = session, session.server, on_progress, stop
-        self._plan = TrialPlan.of(scenario, run, session.marker, kept=kept)
+        self._input = TrialInput.of(scenario, run, session.marker, kept=kept)
         self._began_s = self._progress_s = time.monotonic()
-        self._log = StackLog(folder / "stack.log")
+        self._log = StackLog(folder / STACK_LOG)
         self._keeps_stack = False
         self._stack_code: int | None = None
 
@@ -134,7 +133,7 @@ class _Run:
 
     def _start(self) -> None:
         self._server.ended.clear()
-        write_file(self._job / PLAN, self._plan.to_json(), durable=False)
+        write_file(self._job / INPUT, json_text(self._input), durable=False)
         self._start_node(PHYSICS, self._settings.physics)
         self._start_node(TRIAL, self._settings.trial)
         self._start_node(RECORD, self._settings.record)
@@ -265,7 +264,7 @@ class _Run:
 
     def _write_simulation_log(self) -> None:
         parts = [f"{name:8} | {line}\n" for name in _NODES for line in self._output_of(name).splitlines()]
-        write_file(self._folder / "simulation.log", "".join(parts), durable=False)
+        write_file(self._folder / SIMULATION_LOG, "".join(parts), durable=False)
 
     def _outcome(self, ending: Ending, decided_s: float) -> Outcome:
         report, now_s = self._report(), time.monotonic()

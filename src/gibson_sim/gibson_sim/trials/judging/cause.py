@@ -19,7 +19,7 @@ from gibson_sim.trials.judging.measures import Measured
 from gibson_sim.trials.judging.obstacles import place_text
 from gibson_sim.trials.judging.verdicts import RUN, is_alive, touches_after_goal
 from gibson_sim.trials.records import REFUSED_GOAL, Cause, CauseKind, Outcome, RunSpec, Verdict
-from gibson_sim.trials.scenario_spec import Scenario
+from gibson_sim.trials.scenario.spec import Scenario
 
 RECOVERED_S = 5.0
 """An event that ended longer than this before a momentary failure did not cause it, s: a robot drives two metres meanwhile."""

@@ -12,7 +12,8 @@ from gibson_sim.trials.judging.evidence import read_evidence
 from gibson_sim.trials.judging.measures import measure
 from gibson_sim.trials.judging.verdicts import NOT_JUDGED, failed_verdicts, verdicts_of
 from gibson_sim.trials.records import Cause, Outcome, RunResult, RunSpec
-from gibson_sim.trials.scenario_spec import Scenario
+from gibson_sim.trials.run_folder import BAG
+from gibson_sim.trials.scenario.spec import Scenario
 
 _MAX_LENGTH = 400
 """Largest length of the reason why a bag cannot be read, characters."""
@@ -27,7 +28,7 @@ def judge(scenario: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> R
         outcome: outcome of the run.
         folder: folder of the run, with its bag in ``bag``.
     """
-    bag = folder / "bag"
+    bag = folder / BAG
     try:
         evidence = read_evidence(bag, outcome, [f"/{rate.topic.lstrip('/')}" for rate in scenario.verdicts.rates])
         problem = ""

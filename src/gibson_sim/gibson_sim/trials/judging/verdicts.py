@@ -13,9 +13,9 @@ from gibson_sim.quoting import quoted
 from gibson_sim.trials.foreign_calls import ForeignCalls
 from gibson_sim.trials.judging.evidence import Evidence, Poses
 from gibson_sim.trials.judging.measures import Measured
-from gibson_sim.trials.judging.predicates import predicate_verdict
+from gibson_sim.trials.predicates import predicate_verdict
 from gibson_sim.trials.records import PAUSE, Outcome, RunSpec, Verdict
-from gibson_sim.trials.scenario_spec import Reached, Region, Scenario
+from gibson_sim.trials.scenario.spec import Reached, Region, Scenario
 
 RUN = "run"
 """Name of the verdict on whether a run could be judged at all."""

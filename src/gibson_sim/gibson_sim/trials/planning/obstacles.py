@@ -27,7 +27,7 @@ from gibson_sim.trials.planning.places import NoPlaceError, Places
 from gibson_sim.trials.planning.seeds import stream
 from gibson_sim.trials.planning.site import Site
 from gibson_sim.trials.records import Person, PlacedObject
-from gibson_sim.trials.scenario_spec import SAMPLED, Obstacles, PersonRule, SpawnRule
+from gibson_sim.trials.scenario.spec import SAMPLED, Obstacles, PersonRule, SpawnRule
 from gibson_sim.types import Pose
 
 F64 = NDArray[np.float64]

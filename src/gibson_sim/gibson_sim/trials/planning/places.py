@@ -15,7 +15,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.trials.planning.seeds import stream
 from gibson_sim.trials.planning.site import Site
 from gibson_sim.trials.records import PlanarPose
-from gibson_sim.trials.scenario_spec import SAMPLED, Sampling
+from gibson_sim.trials.scenario.spec import SAMPLED, Sampling
 
 F64 = NDArray[np.float64]
 _TRIES = 40

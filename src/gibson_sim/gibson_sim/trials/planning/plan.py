@@ -29,7 +29,7 @@ from gibson_sim.trials.planning.seeds import seed_of, stream
 from gibson_sim.trials.planning.site import Bools, Site, swept_door_cells, with_closed_doors
 from gibson_sim.trials.records import PlanarPose, RunSpec
 from gibson_sim.trials.scenario.load import ScenarioError
-from gibson_sim.trials.scenario_spec import SAMPLED, InitialPose, Scenario
+from gibson_sim.trials.scenario.spec import SAMPLED, InitialPose, Scenario
 
 _ATTEMPTS = 20
 """Number of starts and goals sampled for a run until there is room for its obstacles."""
@@ -78,7 +78,7 @@ def _requested(numbers: Collection[int], total: int) -> list[int]:
     """
     for number in numbers:
         if not 0 <= number < total:
-            raise ConfigError(f"--run {number} does not exist; the plan has runs 0 to {total - 1}")
+            raise ConfigError(f"run {number} does not exist; the plan has runs 0 to {total - 1}")
     return sorted(set(numbers)) if numbers else list(range(total))
 
 

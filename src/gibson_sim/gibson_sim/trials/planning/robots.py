@@ -28,7 +28,7 @@ from gibson_sim.reading import parse_xml, read_file, without_default_namespace
 from gibson_sim.robots.load import derive_file, find_robot_file, load_robot
 from gibson_sim.robots.loading.derive import DESCRIPTION_SUFFIXES
 from gibson_sim.scenes.robot_files import mesh_points
-from gibson_sim.trials.scenario_spec import Randomisation, Range
+from gibson_sim.trials.scenario.spec import Randomisation, Range
 from gibson_sim.writing import write_file
 
 FOLDER = "robot"

@@ -14,6 +14,7 @@ from gibson_sim.bags.video import image_topics
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.paths import write_path
+from gibson_sim.trials.run_folder import BAG
 from gibson_sim.writing import write_file
 
 FILM, PATH_PLOT, MOTION_PLOT = "film.jpg", "path.png", "motion.png"
@@ -35,7 +36,7 @@ def keep_of_run(result: RunResult, folder: Path, keep: Literal["failed", "all"])
         folder: folder of the run, with its bag in ``bag``.
         keep: runs whose bags are kept.
     """
-    bag = folder / "bag"
+    bag = folder / BAG
     if bag.is_dir():
         try:
             write_path(bag, folder)
@@ -44,7 +45,7 @@ def keep_of_run(result: RunResult, folder: Path, keep: Literal["failed", "all"])
         except GibsonSimError as error:
             _log.warning("run %d: the page lacks pictures of it: %s", result.run.number, error)
     if result.passed and keep == "failed":
-        for old in (bag, *folder.glob("bag_epoch*")):
+        for old in (bag, *folder.glob(f"{BAG}_epoch*")):
             shutil.rmtree(old, ignore_errors=True)
 
 

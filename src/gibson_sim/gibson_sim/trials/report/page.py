@@ -16,7 +16,7 @@ from gibson_sim.trials.report.log_tail import CONTROL, log_tail
 from gibson_sim.trials.report.maps import SceneMap, map_svg, scene_map
 from gibson_sim.trials.report.page_style import STYLE
 from gibson_sim.trials.report.paths import read_path
-from gibson_sim.trials.report.results import RESULTS, Rate, TrialResults
+from gibson_sim.trials.report.results import Rate, TrialResults
 from gibson_sim.trials.report.words import (
     can_be_replayed,
     reason,
@@ -24,10 +24,10 @@ from gibson_sim.trials.report.words import (
     rerun_command,
     robot_name,
     route_text,
-    run_folder,
     scene_name,
     seconds_of,
 )
+from gibson_sim.trials.run_folder import BAG, RESULTS, SIMULATION_LOG, STACK_LOG, run_folder
 
 FILE = "index.html"
 _INITIALLY_OPEN = 3
@@ -257,7 +257,7 @@ def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str],
     facts = [("ended", ended), ("last status", outcome.status), ("measured", _measures(result)), ("sampled", _sampled(result))]
     facts += [("refused commands", str(outcome.refused_commands) if outcome.refused_commands else "")]
     listed = "".join(f"<dt>{name}</dt><dd>{_text(value)}</dd>" for name, value in facts if value)
-    log = log_tail(path / "stack.log")
+    log = log_tail(path / STACK_LOG)
     shown_log = (
         f'<h3>End of the stack\'s output</h3><pre class="log"><span>{_text(log)}</span></pre>'
         if log
@@ -266,7 +266,7 @@ def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str],
     place = f"runs/{run.number:04d}"
     links = [
         f'<a href="{place}/{name}">{label}</a>'
-        for name, label in (("bag", "bag"), ("stack.log", "output of the stack"), ("simulation.log", "output of the simulation"))
+        for name, label in ((BAG, "bag"), (STACK_LOG, "output of the stack"), (SIMULATION_LOG, "output of the simulation"))
         if (path / name).exists()
     ]
     commands = [("Run again, with the stack", rerun_command(file, run.number, options))]

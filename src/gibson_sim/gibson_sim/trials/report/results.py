@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -14,12 +13,13 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import read_file
 from gibson_sim.tasks.metrics import wilson
+from gibson_sim.trials.json_values import json_text
 from gibson_sim.trials.records import RunResult
+from gibson_sim.trials.report.words import reason, robot_name, scene_name
+from gibson_sim.trials.run_folder import RESULTS
 from gibson_sim.types import NS_PER_S
 from gibson_sim.writing import write_file
 
-RESULTS = "results.json"
-"""Name of the file."""
 _FORMAT = 1
 _MAX_BYTES = 1_000_000_000
 
@@ -50,7 +50,7 @@ class TrialResults:
 
     name: str
     file: str
-    """Scenario file as given on the command line."""
+    """Scenario file as given."""
     results: tuple[RunResult, ...]
     """Results in the order of run numbers."""
     planned: int
@@ -67,6 +67,10 @@ class TrialResults:
     """Number of worker processes, or the address of a cluster."""
     comparison: dict[str, Any] | None = None
     """Comparison with an earlier trial, see ``Comparison.to_json``; None = not compared."""
+    source: str = ""
+    """The file or folder that ``read_results`` read, as given; empty = none."""
+    folder: Path | None = None
+    """Folder of the trial, with the page, and the files of each run in ``runs``; None = the results are in no file."""
 
     @property
     def rate(self) -> Rate:
@@ -88,6 +92,31 @@ class TrialResults:
     def is_complete(self) -> bool:
         """Whether all planned runs were executed."""
         return len(self.results) >= self.planned
+
+    def to_rows(self) -> list[dict[str, Any]]:
+        """Returns one flat mapping for each run, for a table such as ``pandas.DataFrame``: plan, verdict, cause, sampled values, measures.
+
+        ``cause`` is the kind of the cause and ``reason`` a sentence; both are empty if the run passed. A measure that a run lacks is missing in
+        its row. Metres, radians, seconds of simulation time.
+        """
+        return [
+            {
+                "run": result.run.number,
+                "scene": scene_name(result.run.scene),
+                "robot": robot_name(result.run.robot),
+                "seed": result.run.seed,
+                **{f"start_{axis}": value for axis, value in zip(("x", "y", "yaw"), result.run.start, strict=True)},
+                **{f"goal_{axis}": value for axis, value in zip(("x", "y", "yaw"), result.run.goal, strict=True)},
+                "shortest": result.run.shortest,
+                "passed": result.passed,
+                "end": result.outcome.end,
+                "cause": result.cause.kind if result.cause else "",
+                "reason": "" if result.passed else reason(result),
+                **result.run.drawn,
+                **result.measures,
+            }
+            for result in self.results
+        ]
 
     def by(self, key: Callable[[RunResult], str]) -> dict[str, Rate]:
         """Returns the pass rates of groups of runs by key, in the order of their first run."""
@@ -161,11 +190,6 @@ def write_results(trial: TrialResults, folder: Path) -> Path:
     return path
 
 
-def json_text(values: Any) -> str:
-    """Returns values as JSON text; paths become text, and NaN and infinities become null."""
-    return json.dumps(_plain(values), indent=1, allow_nan=False) + "\n"
-
-
 def read_results(path: Path) -> TrialResults:
     """Returns the results of an earlier trial.
 
@@ -178,7 +202,7 @@ def read_results(path: Path) -> TrialResults:
     file = path / RESULTS if path.is_dir() else path
     try:
         values = json.loads(read_file(file, _MAX_BYTES))
-        results = tuple(result_from_json(item) for item in values["results"])
+        results = tuple(RunResult.from_json(item) for item in values["results"])
         return TrialResults(
             name=str(values["name"]),
             file=str(values["file"]),
@@ -191,6 +215,8 @@ def read_results(path: Path) -> TrialResults:
             wall_time=float(values["wall_time"]),
             workers=str(values["workers"]),
             comparison=values["comparison"],
+            source=str(path),
+            folder=file.parent,
         )
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}; give the {RESULTS} of a trial, or its folder") from error
@@ -199,21 +225,3 @@ def read_results(path: Path) -> TrialResults:
             f"{file}: is not the {RESULTS} of a trial: {quoted(str(error) or type(error).__name__)}; give the file that "
             "`gibson-sim trial` wrote"
         ) from error
-
-
-def _plain(value: Any) -> Any:
-    """Returns values converted to JSON types."""
-    if isinstance(value, dict):
-        return {str(name): _plain(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value if value is None or isinstance(value, (bool, int, str)) else str(value)
-
-
-def result_from_json(values: dict[str, Any]) -> RunResult:
-    """Restores a result from the values of ``RunResult.to_json`` after a round trip through ``json_text``."""
-    fields = {name: value for name, value in values.items() if name != "passed"}
-    fields["measures"] = {name: float(value) for name, value in fields["measures"].items() if value is not None}
-    return RunResult.from_json(fields)

@@ -10,16 +10,12 @@ from pathlib import Path
 
 from gibson_sim.quoting import clipped
 from gibson_sim.trials.records import PlanarPose, RunResult, RunSpec
+from gibson_sim.trials.run_folder import BAG, run_folder
 from gibson_sim.types import NS_PER_S
 
 _MAX_LENGTH = 400
 """Largest length of a line about a run, characters."""
 _NAME = re.compile(r"[^\w-]+")
-
-
-def run_folder(folder: Path, number: int) -> Path:
-    """Returns the folder of a run within that of its trial."""
-    return folder / "runs" / f"{number:04d}"
 
 
 def scene_name(scene: str) -> str:
@@ -91,12 +87,12 @@ def replay_command(folder: Path, number: int) -> str:
         folder: folder of the trial.
         number: number of the run.
     """
-    return shlex.join(["gibson-sim", "replay", str(run_folder(folder, number) / "bag"), "--verify"])
+    return shlex.join(["gibson-sim", "replay", str(run_folder(folder, number) / BAG), "--verify"])
 
 
 def can_be_replayed(folder: Path, result: RunResult) -> bool:
     """Returns whether a run in the folder of a trial has a bag with at least one tick."""
-    return result.outcome.end_ns > 0 and (run_folder(folder, result.run.number) / "bag").is_dir()
+    return result.outcome.end_ns > 0 and (run_folder(folder, result.run.number) / BAG).is_dir()
 
 
 def rerun_command(file: str, number: int, options: Sequence[str] = ()) -> str:

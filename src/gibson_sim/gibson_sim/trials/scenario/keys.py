@@ -1,10 +1,11 @@
-"""Declares the keys of a scenario file and their limits, for the loader (``load``) and the JSON schema (``json_schema``).
+"""Declares the keys of a scenario file and their limits, for the loader (``load``) and for editors (``schema``).
 
-Names, defaults and meanings are those of the fields in ``scenario_spec``.
+Names, defaults and meanings are those of the fields in ``spec``.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from collections.abc import Mapping
@@ -35,7 +36,7 @@ from gibson_sim.trials.scenario.kinds import (
     Variables,
     key_text,
 )  # fmt: skip
-from gibson_sim.trials.scenario_spec import (
+from gibson_sim.trials.scenario.spec import (
     GoalInterface,
     InitialPose,
     Limits,
@@ -64,6 +65,7 @@ SET_BY_TRIAL = (
     "participants", "participant_timeout", "on_timeout", "digests", "wait_for", "summary_path",
 )  # fmt: skip
 """Settings of the physics node that a scenario file cannot set under ``physics``: the trial sets them from other keys."""
+_DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _MAX_COORDINATE = 10_000.0
 """Largest coordinate, metres."""
 _DAY_S = 86_400.0
@@ -251,3 +253,18 @@ SCENARIO = Section(Scenario, {
     "record": Section(Recording, {"images": Choice(("none", "compressed", "raw")), "keep": Choice(("failed", "all"))}),
 })  # fmt: skip
 """The whole file."""
+
+
+def schema() -> dict[str, Any]:
+    """Returns the JSON schema of scenario files, for editors that complete and check YAML."""
+    return {
+        "$schema": _DRAFT,
+        "title": "Scenario file of gibson-sim trial",
+        "description": "See docs/trial_file.md.",
+        **SCENARIO.schema(),
+    }
+
+
+def schema_text() -> str:
+    """Returns the schema as the text of a file: that of ``config/trial.schema.json``."""
+    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"

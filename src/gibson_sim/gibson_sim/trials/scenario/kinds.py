@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from gibson_sim.field_docs import field_docs
 from gibson_sim.quoting import quoted
 from gibson_sim.settings import nearest
-from gibson_sim.trials.scenario_spec import SAMPLED
+from gibson_sim.trials.scenario.spec import SAMPLED
 
 Schema = dict[str, Any]
 _MAX_TEXT_LENGTH = 4096

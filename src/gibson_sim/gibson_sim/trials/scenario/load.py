@@ -17,10 +17,10 @@ from gibson_sim.reading import is_file, is_folder, read_yaml_file
 from gibson_sim.resources import find_config, find_robot, find_scene, known_objects, list_robots, list_scenes
 from gibson_sim.scenes.randomise import load_rules
 from gibson_sim.settings import nearest
+from gibson_sim.trials.predicates import predicate_problem
 from gibson_sim.trials.scenario.keys import ALL, MAX_RUNS, SCENARIO
 from gibson_sim.trials.scenario.kinds import Location
-from gibson_sim.trials.scenario.predicates import predicate_problem
-from gibson_sim.trials.scenario_spec import Obstacles, Randomisation, Scenario, StackSpec, Verdicts
+from gibson_sim.trials.scenario.spec import Obstacles, Randomisation, Scenario, StackSpec, Verdicts
 
 FOLDER = "trials"
 """Folder below ``config`` with the scenario files that are found by name."""

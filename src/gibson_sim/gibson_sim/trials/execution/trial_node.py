@@ -1,16 +1,15 @@
-"""Input and report of the trial node, as JSON in the job's folder: the run, the interface of its stack and its limits; the run's end."""
+"""What supervisor and trial node (``ros/trials/trial_node.py``) exchange through files in the job's folder: its input and its report."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from gibson_sim.trials.records import RunSpec
-from gibson_sim.trials.scenario_spec import GoalInterface, InitialPose, Limits, Reached, Ready, Scenario, Status
+from gibson_sim.trials.scenario.spec import GoalInterface, InitialPose, Limits, Reached, Ready, Scenario, Status
 from gibson_sim.types import NS_PER_S
 
-PLAN, REPORT, PROGRESS, CLOCK, IMAGES = "plan.json", "trial.json", "progress", "clock", "images"
+INPUT, REPORT, PROGRESS, CLOCK, IMAGES = "trial_input.json", "trial.json", "progress", "clock", "images"
 """Files in the folder of the job: input of the trial node; its report; progress of the run as text; latest stamp, ns; empty file that exists
 if images have subscribers."""
 MARKER = "GIBSON_SIM_TRIAL"
@@ -22,8 +21,8 @@ TASK_GOAL = "task/goal"
 
 
 @dataclass(frozen=True, slots=True)
-class TrialPlan:
-    """Input of the trial node from scenario and run."""
+class TrialInput:
+    """Input of the trial node: the run, the interface of its stack, and its limits."""
 
     run: RunSpec
     ready: Ready
@@ -43,8 +42,8 @@ class TrialPlan:
     """Stamp before which neither initial pose nor goal is sent, ns."""
 
     @classmethod
-    def of(cls, scenario: Scenario, run: RunSpec, marker: str = "", *, kept: bool = False) -> TrialPlan:
-        """Returns the plan of a run; a stack ``kept`` from an earlier run has no conditions to become ready."""
+    def of(cls, scenario: Scenario, run: RunSpec, marker: str = "", *, kept: bool = False) -> TrialInput:
+        """Returns the input for a run; a stack ``kept`` from an earlier run has no conditions to become ready."""
         stack = scenario.stack
         answers = tuple(rule.partition("=")[2].split()[0] if "=" in rule else rule.split()[0] for rule in stack.lockstep)
         return cls(
@@ -60,29 +59,6 @@ class TrialPlan:
             answers,
             marker,
             KEPT_NS if kept else 0,
-        )
-
-    def to_json(self) -> str:
-        """Returns the plan as JSON text."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> TrialPlan:
-        """Restores a plan from the text that ``to_json`` returned."""
-        values = json.loads(text)
-        return cls(
-            RunSpec.from_json(values["run"]),
-            Ready(**values["ready"]),
-            InitialPose(**values["initial_pose"]),
-            GoalInterface(**values["goal"]),
-            Status(**values["status"]),
-            Limits(**values["limits"]),
-            Reached(**values["reached"]) if values["reached"] else None,
-            values["lockstep"],
-            tuple(values["allowed_calls"]),
-            tuple(values["answers"]),
-            values["marker"],
-            values["goal_from_ns"],
         )
 
     @property
@@ -115,7 +91,3 @@ class TrialReport:
     """Time of arrival of the first tick; 0 = none."""
     ended_s: float = 0.0
     """Time of arrival of the last tick."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns the report as JSON values."""
-        return asdict(self)

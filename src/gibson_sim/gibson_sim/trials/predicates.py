@@ -1,14 +1,20 @@
-"""Calls predicates: user functions that judge a bag. An exception of a predicate becomes a failed verdict, never a traceback."""
+"""Predicates: user functions, named ``module:function`` in a scenario, that judge the bag of a run.
+
+``predicate_problem`` checks that a function exists when the scenario is loaded, without running any of its code. ``predicate_verdict`` calls
+it; an exception becomes a failed verdict, never a traceback. Modules are searched in the folder of the scenario, then on ``sys.path``.
+"""
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 
@@ -16,11 +22,57 @@ import numpy as np
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import clipped, quoted
+from gibson_sim.reading import read_file
+from gibson_sim.settings import nearest
 from gibson_sim.trials.records import RunSpec, Verdict
 
+_MAX_BYTES = 4_000_000
+"""Largest size of a module that is read, bytes."""
 _MAX_LENGTH = 300
 """Largest length of a predicate's text, characters."""
 Predicate = Callable[[Path, RunSpec], object]
+
+
+def predicate_problem(text: str, folders: Sequence[str]) -> str:
+    """Returns why ``module:function`` cannot be called; empty = the module exists and seems to define the function.
+
+    Args:
+        text: the predicate.
+        folders: search path for modules, like ``sys.path``.
+    """
+    module, _, function = text.partition(":")
+    locations: Sequence[str] | None = folders
+    spec = None
+    for depth, part in enumerate(module.split("."), 1):
+        # Unlike importlib.util.find_spec, this does not import parent packages.
+        spec = PathFinder.find_spec(part, list(locations or ()))
+        if spec is None:
+            name = ".".join(module.split(".")[:depth])
+            searched = f"in {folders[0]} and in Python's path" if depth == 1 else "in that package"
+            return f"there is no module {quoted(name)} {searched}"
+        locations = spec.submodule_search_locations
+    if spec is None or not (spec.origin or "").endswith(".py"):
+        return "" if spec is not None and spec.origin else f"{quoted(module)} is a folder, not a module"
+    try:
+        tree = ast.parse(read_file(Path(spec.origin or ""), _MAX_BYTES))
+    except (OSError, SyntaxError, ValueError, RecursionError) as error:
+        return f"{spec.origin} cannot be read: {error}"
+    names = list(_names(tree))
+    if function in names or "*" in names:
+        return ""
+    hint = nearest(function, names)
+    return f"{spec.origin} has no {quoted(function)}{f'; {hint}' if hint else ''}"
+
+
+def _names(tree: ast.Module) -> Iterator[str]:
+    """Yields the names that a module binds in any scope; ``*`` if it imports all names of another module."""
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            yield node.name
+        elif isinstance(node, (ast.Import, ast.ImportFrom)):
+            yield from (alias.asname or alias.name for alias in node.names)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
 
 
 def predicate_verdict(predicate: str, folder: Path, bag: Path, run: RunSpec) -> Verdict:

@@ -1,1 +1,0 @@
-"""Paired comparison of two trials: which runs improved or regressed, and whether the difference is significant. Maps results to sentences."""
