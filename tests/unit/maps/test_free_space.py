@@ -55,10 +55,10 @@ def test_path_through_a_door_without_room_for_the_margin_exists_nevertheless(flo
 def test_path_leads_around_obstacles_that_are_added(floor: FloorMap) -> None:
     space = FreeSpace(floor, 0.2)
     with_box = space.with_obstacles([BOX])
-    direct, around = space.shortest((0.4, 2.0), RIGHT), with_box.shortest((0.4, 2.0), RIGHT)
-    assert direct[0] == pytest.approx(2.6)
-    # Tangents and arcs of 0.24 m radius about the upper or lower corners: 0.377 + 0.247 + 0.400 + 0.058 + 1.795 m.
-    assert around[0] == pytest.approx(2.88, abs=0.06)
+    direct, around = (each.shortest((0.4, 2.0), (1.65, 2.0)) for each in (space, with_box))
+    assert direct[0] == pytest.approx(1.25)
+    # Tangents and arcs of 0.24 m radius about the two upper or lower corners: 0.377 + 0.247 + 0.400 + 0.222 + 0.430 m.
+    assert around[0] == pytest.approx(1.68, abs=0.08)
     assert not with_box.contains(direct[1])
     assert space.with_obstacles([]) is space
 

@@ -438,8 +438,9 @@ class _TrialRun:
         Raises:
             GibsonSimError: it failed without results.
         """
-        from gibson_sim.trials.report.results import RESULTS, read_results
+        from gibson_sim.trials.report.results import read_results
         from gibson_sim.trials.report.words import run_line
+        from gibson_sim.trials.run_folder import RESULTS
 
         if self.is_running:
             finished = len(list(self.folder.glob("runs/*/result.json")))

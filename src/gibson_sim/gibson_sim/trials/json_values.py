@@ -48,7 +48,7 @@ def restored(kind: type[T], values: Any) -> T:
 
 
 def _restored(kind: Any, value: Any) -> Any:
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         if not isinstance(value, Mapping):
             raise TypeError(f"{kind.__name__} is {type(value).__name__}, must be a mapping")
         hints = _hints(kind)

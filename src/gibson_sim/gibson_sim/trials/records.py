@@ -198,5 +198,5 @@ class RunResult:
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> RunResult:
         """Restores a result from the values that ``to_json`` returned; its run has no files, and measures that were not finite are omitted."""
-        measures = {name: value for name, value in values["measures"].items() if value is not None}
+        measures = {name: float(value) for name, value in values["measures"].items() if value is not None}
         return restored(cls, {**{name: value for name, value in values.items() if name != "passed"}, "measures": measures})

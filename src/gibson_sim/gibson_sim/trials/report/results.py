@@ -67,9 +67,9 @@ class TrialResults:
     """Number of worker processes, or the address of a cluster."""
     comparison: dict[str, Any] | None = None
     """Comparison with an earlier trial, see ``Comparison.to_json``; None = not compared."""
-    source: str = ""
+    source: str = field(default="", compare=False)
     """The file or folder that ``read_results`` read, as given; empty = none."""
-    folder: Path | None = None
+    folder: Path | None = field(default=None, compare=False)
     """Folder of the trial, with the page, and the files of each run in ``runs``; None = the results are in no file."""
 
     @property
