@@ -104,7 +104,7 @@ def test_equal_runs_with_things_and_people_are_equal_to_the_bit(room: str, tmp_p
     for number in range(2):
         outcomes.append(execute(scenario_of(*drive("daemon")), run, tmp_path / str(number), domains=DOMAINS))
         assert sorted(p.name for p in (tmp_path / str(number)).iterdir()) == [
-            "bag", "outcome.json", "run.json", "simulation.log", "stack.log",
+            "bag", "outcome.json", "simulation.log", "stack.log",
         ]  # fmt: skip
     first, second = outcomes
     assert (first.end, first.goal_ns, first.lockstep, first.refused_commands) == ("reached", 0, True, 0)
