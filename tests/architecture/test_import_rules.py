@@ -114,7 +114,7 @@ def test_yaml_and_xml_of_strangers_are_parsed_in_one_place(root: Path) -> None:
     # the plate is our own.
     assert found == {
         "gibson_sim/reading.py: top = ElementTree.fromstring(text[begin.end() :] if begin is not None else text)",
-        "gibson_sim_tools/importing/checks/splats_in_yaml.py: document = yaml.compose(text, yaml.SafeLoader)",
+        "gibson_sim_tools/importing/checks/splats.py: document = yaml.compose(text, yaml.SafeLoader)",
         'gibson_sim/bags/comparison/robot_file.py: robot = yaml.load(source.read_text(encoding="utf-8"))',
         "gibson_sim/tasks/scripts/doors.py: top = copy.deepcopy(ElementTree.parse(urdf).getroot())",
         "gibson_sim/tasks/scripts/doors.py: link.append(ElementTree.fromstring(_PLATE))",
@@ -128,9 +128,9 @@ _MAY_WRITE = {
     "gibson_sim/bags/metadata.py", "gibson_sim/bags/mcap_file.py", "gibson_sim/bags/sqlite_file.py", "gibson_sim/bags/writer.py",
     "gibson_sim/trials/execution/stack_log.py",
     "gibson_sim/description/xacro.py", "gibson_sim/physics/convex_parts.py", "gibson_sim/physics/engine_files.py", "gibson_sim/render/cache.py",
-    "gibson_sim/scenes/collision/cache.py", "gibson_sim/scenes/collision/simplified.py", "gibson_sim_learn/arrays.py",
+    "gibson_sim/scenes/collision/cache.py", "gibson_sim/scenes/collision/scan.py", "gibson_sim_learn/arrays.py",
     "gibson_sim_tools/importing/fetching/archives.py",
-    "gibson_sim_tools/importing/fetching/download.py", "gibson_sim_tools/making/baking.py", "gibson_sim_tools/making/blender/__main__.py",
+    "gibson_sim_tools/importing/fetching/fetch.py", "gibson_sim_tools/making/baking.py", "gibson_sim_tools/making/blender/__main__.py",
 }  # fmt: skip
 
 

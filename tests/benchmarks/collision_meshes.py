@@ -29,7 +29,7 @@ from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.geometry.triangle_meshes import weld
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.load import load_robot
-from gibson_sim.scenes.collision.simplified import scan_shapes
+from gibson_sim.scenes.collision.scan import scan_shapes
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
 from gibson_sim_tools.generator.rooms import rooms_mesh

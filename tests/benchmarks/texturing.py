@@ -41,10 +41,9 @@ from gibson_sim_tools.scanning.trajectories import read_stamped_poses
 from gibson_sim_tools.texturing.evaluation import RenderedImage, image_similarity, render_textured
 from gibson_sim_tools.texturing.exposure import identity_exposures
 from gibson_sim_tools.texturing.rasteriser import rasterise
-from gibson_sim_tools.texturing.report import TextureReport
 from gibson_sim_tools.texturing.settings import TextureSettings
 from gibson_sim_tools.texturing.surface import Surface, face_adjacency, project, surface_from_mesh
-from gibson_sim_tools.texturing.texture import TexturedSurface, build_texture, collect_views, texture_surface
+from gibson_sim_tools.texturing.texture import TexturedSurface, TextureReport, build_texture, collect_views, texture_surface
 
 Bools = NDArray[np.bool_]
 F32 = NDArray[np.float32]

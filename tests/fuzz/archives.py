@@ -16,7 +16,7 @@ from fuzz.live import live, simulator
 from fuzz.trial import Trial
 from gibson_sim.standard.requests import LoadRequest
 from gibson_sim_tools.importing.fetching.archives import ArchiveLimits, unpack
-from gibson_sim_tools.importing.run import import_scene
+from gibson_sim_tools.importing.importers import import_scene
 
 _NAMES = (
     "../out.txt",

@@ -16,7 +16,7 @@ from gibson_sim.physics.convex_parts import convex_parts
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.collision import scan as scan_module
-from gibson_sim.scenes.collision.simplified import scan_shapes
+from gibson_sim.scenes.collision.scan import scan_shapes
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
 from support.probes import BOX, SPHERE, random_places, verdicts, write_mesh

@@ -14,7 +14,7 @@ from gibson_sim.description.body import BodySpec
 from gibson_sim.description.shapes import Shape
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy, yaw_from_quat
-from gibson_sim.physics.drive import mass_and_inertia, without_friction
+from gibson_sim.physics.robot import mass_and_inertia, without_friction
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec

@@ -9,7 +9,7 @@ import pytest
 
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.joints.commands import JointPositions
-from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.robots.load import load_robot
 from gibson_sim.scenes.spec import SceneSpec
 
 ARM = """<robot name="arm"><link name="base"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>

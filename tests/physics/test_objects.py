@@ -19,8 +19,7 @@ from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, SceneState
-from gibson_sim_tools.making.objects.catalogue import OBJECTS
-from gibson_sim_tools.making.objects.joined import JOINED, door_names
+from gibson_sim_tools.making.objects.catalogue import JOINED, OBJECTS, door_names
 from gibson_sim_tools.making.objects.model import ObjectJoint, ObjectModel
 
 HZ = 240

@@ -18,7 +18,6 @@ from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.joints.commands import JointPositions
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.robot_files import load_robot as measured
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import VelocityCommand
 
@@ -103,7 +102,7 @@ def test_a_description_alone_drives_a_metre_and_turns(
         path = request.getfixturevalue("data_dir") / urdf
     if path.suffix == ".xacro" and importlib.util.find_spec("xacro") is None:
         pytest.skip("the xacro package is not installed; pip install xacro")
-    robot = measured(path)
+    robot = load_robot(path)
     assert robot.drive is not None
     assert robot.drive.kind == kind
     with PhysicsWorld(make_scene(robot)) as world:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.formats.load_mesh import mesh_points
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.load import derive_file
+from gibson_sim.robots.load import derive_file, load_robot
 from gibson_sim.robots.loading.guess import Guess
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.robot_files import load_robot, mesh_points
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import VelocityCommand
 from gibson_sim_tools.robots.report import by_hand, report_lines, topics
@@ -130,7 +130,7 @@ def test_an_arm_has_joint_topics_and_cannot_tip(root: Path) -> None:
     ],
 )
 def test_robots_of_makers_drive_as_guessed(data_dir: Path, tmp_path: Path, urdf: str, kind: str, sensors: str) -> None:
-    derived = derive_file(data_dir / urdf, mesh_points())
+    derived = derive_file(data_dir / urdf)
     assert derived.values["drive"]["type"] == kind and set(sensors.split()) <= set(derived.values)
     (tmp_path / "robot.yaml").write_text(robot_file_text(str(data_dir / urdf), {}, derived))
     straight, turn = try_robot(load_robot(tmp_path), mesh_points()).drives

@@ -17,8 +17,7 @@ from gibson_sim.cli.main import main  # noqa: E402
 from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
 from gibson_sim_bench.cli import ros as bench_ros  # noqa: E402
 from gibson_sim_bench.cli.ros import measure  # noqa: E402
-from gibson_sim_bench.reports.ros import report_text  # noqa: E402
-from gibson_sim_bench.ros import IdleNode, RosPlan, RoundTripMethod, Size  # noqa: E402
+from gibson_sim_bench.ros import IdleNode, RosPlan, RoundTripMethod, Size, report_text  # noqa: E402
 
 pytestmark = pytest.mark.ros
 TINY = RosPlan(

@@ -38,7 +38,7 @@ _NAMES_OF_MODULE = {
     "gibson_sim.physics.world": ("PhysicsWorld",),
     "gibson_sim.resources": ("list_robots", "list_scenes"),
     "gibson_sim.scenes.load": ("load_scene",),
-    "gibson_sim.scenes.robot_files": ("load_robot",),
+    "gibson_sim.robots.load": ("load_robot",),
     "gibson_sim.scenes.spawnables": ("list_objects",),
     "gibson_sim.scenes.spawning": ("SpawnError",),
     "gibson_sim.scenes.spec": ("DrawnScene", "LightSpec", "PointLight", "SceneSpec", "drawn_scene"),
@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from gibson_sim.description.body import BodySpec
     from gibson_sim.robots.spec import RobotSpec
     from gibson_sim.scenes.load import load_scene
-    from gibson_sim.scenes.robot_files import load_robot
+    from gibson_sim.robots.load import load_robot
     from gibson_sim.scenes.spawnables import list_objects
     from gibson_sim.scenes.spawning import SpawnError
     from gibson_sim.scenes.spec import (

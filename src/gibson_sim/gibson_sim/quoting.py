@@ -1,4 +1,4 @@
-"""Quotes untrusted values in messages, in one line of limited length."""
+"""Quotes untrusted values in messages, in one line of limited length, and writes durations as text."""
 
 from __future__ import annotations
 
@@ -58,3 +58,10 @@ def _printable(text: str) -> str:
     """Returns a text in one line, with control characters, which could move a terminal's cursor or change its colours, escaped."""
     line = " ".join(text.split())
     return line if line.isprintable() else "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+
+
+def duration_text(seconds: float) -> str:
+    """Returns a duration in a unit that suits it: ``42 s``, ``5 min`` (from 90 s on) or ``2.5 h`` (from 90 min on)."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

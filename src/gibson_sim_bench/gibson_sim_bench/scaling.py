@@ -1,4 +1,4 @@
-"""Scaling of time and memory with triangles, resolution, cameras, bodies, robots, environments per process, and processes.
+"""Scaling of time and memory with triangles, resolution, cameras, bodies, robots, environments per process, and processes; the report on it.
 
 Every case runs in its own process, so that its memory can be measured.
 """
@@ -33,6 +33,7 @@ from gibson_sim.types import CameraSpec
 from gibson_sim_bench import timing
 from gibson_sim_bench.memory import resident_mb
 from gibson_sim_bench.own_renderer import STILL, pose_of
+from gibson_sim_bench.reports.render import table
 from gibson_sim_bench.ros import without_nan
 from gibson_sim_bench.scenes.bench_scenes import bench_scene, camera_path
 from gibson_sim_bench.tasks import LOOSE_MODELS
@@ -237,3 +238,14 @@ def kinds_of(text: str) -> tuple[ScalingKind, ...]:
     if unknown:
         raise ConfigError(f"--only: {', '.join(unknown)} must be of {', '.join(known)}")
     return tuple(known[name] for name in names) or KINDS
+
+
+def report_text(report: ScalingReport, *, markdown: bool = False) -> str:
+    """Returns the whole report."""
+    lines = [report.facts.text, *(f"Left out: {line}" for line in report.left_out)]
+    parts = ["\n".join(f"- {line}" if markdown else line for line in lines)]
+    for kind in KINDS:
+        rows = [(f"{r.value:,}", f"{r.ms:.3g}", f"{r.per_s:,.0f}", f"{r.mb:,.0f}") for r in report.rows if r.kind == kind.name]
+        if rows:
+            parts += [f"{kind.name.capitalize()}: {kind.what}.", table((kind.name, "ms", "per s", "MB"), rows, markdown, left=())]
+    return "\n\n".join(parts)

@@ -1,12 +1,12 @@
 """Long runs: environment steps in this process, and a free-running simulation. Memory, rates and the number of files must stay constant.
 
-Pure except for ``environment_steps``; ``gibson_sim_bench.cli.soak`` starts the free-running simulation.
+Pure except for ``environment_steps``; ``gibson_sim_bench.cli.soak`` starts the free-running simulation. The report is plain text or Markdown.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -16,6 +16,7 @@ from gibson_sim.tasks.controls import Controls
 from gibson_sim.tasks.registry import task_of
 from gibson_sim.tasks.run import CONTROL_HZ, TaskRun
 from gibson_sim_bench.memory import drift, growth, open_files, resident_mb
+from gibson_sim_bench.reports.render import table
 from gibson_sim_bench.ros import without_nan
 from gibson_sim_bench.timing import Facts
 
@@ -132,3 +133,27 @@ def environment_steps(
             found.add(time.perf_counter() - began, **values)
             progress(f"{first + steps:,} steps, {values['environment_steps_/s']:,.0f}/s, {values['environment_MB']:.0f} MB")
     return found, episodes
+
+
+def report_text(report: SoakReport, *, markdown: bool = False) -> str:
+    """Returns the whole report."""
+    lines = [
+        report.facts.text,
+        f"{report.steps:,} environment steps in {report.episodes:,} episodes; {report.seconds:,.0f} s free-running, "
+        f"{report.images:,} sets of images received.",
+        "Growth and drift: the last third relative to the first, after a quarter of warm-up.",
+        "Above the limit: " + "; ".join(report.problems) + "."
+        if report.problems
+        else "No value grew or drifted above its limit.",
+    ]
+    head = ("quantity", "first sample", "last sample", "growth", "drift")
+    rows = [*_rows(report.environment), *_rows(report.running)]
+    return "\n".join(f"- {line}" if markdown else line for line in lines) + "\n\n" + table(head, rows, markdown)
+
+
+def _rows(samples: Samples) -> Iterable[tuple[str, ...]]:
+    for name, values in samples.values.items():
+        rate = name.endswith("/s")
+        grown = "" if rate else f"{growth(values):+.1f}"
+        drifted = f"{100 * (drift(values) - 1.0):+.1f} %" if rate else ""
+        yield name, f"{values[0]:,.1f}", f"{values[-1]:,.1f}", grown, drifted

@@ -31,7 +31,6 @@ from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import DrawnScene, drawn_scene
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
 from gibson_sim_bench import timing
-from gibson_sim_bench.clocks import Clock, calls_of, copy_ms, opengl_calls
 from gibson_sim_bench.loop import Loop
 from gibson_sim_bench.own_renderer import STILL, pose_of
 from gibson_sim_bench.protocol import BLOCK, FOV_Y_DEG, PARTS, RENDERING_MODES, RENDERING_ONLY, ROBOT, WARM_UP, Table1Plan
@@ -98,7 +97,7 @@ class RendererPair:
     def __init__(self, scene: DrawnScene, device: int | str | None, roots: list[Path] | None, stack: ExitStack) -> None:
         options: dict[str, Any] = {"device": device, "cache": default_folder(), "allowed_roots": roots}
         self.plain = stack.enter_context(Renderer(scene, **options))
-        self.clock: Clock = stack.enter_context(opengl_calls())
+        self.clock: Clock = stack.enter_context(_opengl_calls())
         self._timed = stack.enter_context(Renderer(scene, **options))
         self._readback = Readback(self._timed.context)
         self._finish = GL.Gl(self._timed.context).glFinish
@@ -312,3 +311,67 @@ def _rendering_only(plan: Table1Plan, name: str) -> Iterable[Table1Row]:
                 synchronize(pair.plain.render_tensors(STILL, [next(upcoming)]))  # noqa: B023
 
             yield row_of(seconds_of(tensors, len(cameras), len(cameras[:WARM_UP])), to=TENSOR, **common)
+
+
+@dataclass(slots=True)
+class Clock:
+    """Accumulates time."""
+
+    ns: int = 0
+
+    def pop_ms(self) -> float:
+        """Returns the accumulated milliseconds, and resets them to 0."""
+        elapsed, self.ns = self.ns / 1e6, 0
+        return elapsed
+
+    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Returns a wrapper of a function that adds the duration of each call."""
+
+        def call(*arguments: Any, **named: Any) -> Any:
+            began = time.perf_counter_ns()
+            try:
+                return function(*arguments, **named)
+            finally:
+                self.ns += time.perf_counter_ns() - began
+
+        return call
+
+
+@contextmanager
+def calls_of(owner: Any, name: str) -> Iterator[Clock]:
+    """Times all calls of ``owner.name`` inside the block."""
+    clock, original = Clock(), getattr(owner, name)
+    setattr(owner, name, clock.timed(original))
+    try:
+        yield clock
+    finally:
+        setattr(owner, name, original)
+
+
+@contextmanager
+def _opengl_calls() -> Iterator[Clock]:
+    """Times all OpenGL calls of the renderers that are created inside the block, also after it."""
+    clock, original = Clock(), GL.Gl
+
+    class Timed(original):  # type: ignore[misc, valid-type]
+        def __getattr__(self, name: str) -> Callable[..., Any]:
+            function = clock.timed(super().__getattr__(name))
+            setattr(self, name, function)
+            return function
+
+    GL.Gl = Timed  # type: ignore[misc]
+    try:
+        yield clock
+    finally:
+        GL.Gl = original  # type: ignore[misc]
+
+
+def copy_ms(size_bytes: int, times: int = 50) -> float:
+    """Returns the median time of copying ``size_bytes``, milliseconds: a lower bound of the readback of a frame."""
+    source, target = np.ones(max(1, size_bytes), dtype=np.uint8), np.empty(max(1, size_bytes), dtype=np.uint8)
+    found = []
+    for _ in range(times):
+        began = time.perf_counter_ns()
+        np.copyto(target, source)
+        found.append((time.perf_counter_ns() - began) / 1e6)
+    return float(np.median(found))

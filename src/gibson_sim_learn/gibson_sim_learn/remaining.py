@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from gibson_sim.durations import duration_text
+from gibson_sim.quoting import duration_text
 
 
 class Remaining:

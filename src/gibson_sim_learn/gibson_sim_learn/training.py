@@ -322,3 +322,8 @@ def write_curve(folder: Path, curve: Sequence[Any], panels: Panels, columns: int
             axis.legend(fontsize=8)
     with replacing(folder / "curve.png") as draft:
         figure.savefig(draft, format="png")
+
+
+def parameter_count(network: nn.Module) -> int:
+    """Returns the number of weights."""
+    return sum(parameter.numel() for parameter in network.parameters())

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import MeshError
 from gibson_sim.scenes.collision.cache import default_folder, digest_of, get_or_create
-from gibson_sim.scenes.collision.simplified import mesh_files, write_meshes
+from gibson_sim.scenes.collision.scan import mesh_files, write_meshes
 
 _log = logging.getLogger(__name__)
 F64 = NDArray[np.float64]

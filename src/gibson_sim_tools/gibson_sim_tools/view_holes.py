@@ -10,11 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from gibson_sim.errors import SceneError
 from gibson_sim.geometry.rasterise import numbered_pairs
-from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.geometry.transforms import Mat4, transform_points
+from gibson_sim.maps.floor_map import FloorMap, make_floor_map
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -238,3 +240,23 @@ def _boxes(corners: F64) -> tuple[I64, I64]:
     first = np.clip(np.ceil(low * scale + middle - 0.5 - 1e-6), 0, size)
     last = np.clip(np.floor(high * scale + middle - 0.5 + 1e-6), -1, size - 1)
     return first.astype(np.int64), np.maximum(last - first + 1, 0).astype(np.int64)
+
+
+def mesh_view_holes(
+    vertices: ArrayLike, triangles: ArrayLike, T_level_mesh: Mat4, progress: Callable[[float], None] = lambda _: None
+) -> ViewHoles | None:
+    """Returns the share of holes in the views of a robot in a fused mesh; None = no position on the floor is free.
+
+    Args:
+        vertices: (V, 3), in any frame, metres.
+        triangles: (F, 3), rows of ``vertices``.
+        T_level_mesh: (4, 4), takes its frame to one with z up and the floor at z = 0.
+        progress: called with the fraction that is done, 0 to 1.
+    """
+    faces, level = np.asarray(triangles), transform_points(T_level_mesh, vertices)
+    try:
+        floor = make_floor_map(level, faces, floor_z=0.0, robot_height=ROBOT_HEIGHT)
+    except SceneError:
+        return None
+    sides = np.ones(len(faces), dtype=bool)
+    return view_holes(level[faces], sides, [floor], ROBOT_RADIUS, progress=progress)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gibson_sim.bags.video import colourise_depth, image_to_bgr, write_contact_sheet, write_video
+from gibson_sim.bags.video import image_to_bgr, write_contact_sheet, write_video
 from gibson_sim.bags.writer import BagWriter
 from gibson_sim.errors import RecordError
 
@@ -185,16 +185,6 @@ def test_size_that_changes_leaves_no_video(messages: Any, tmp_path: Path) -> Non
     with pytest.raises(RecordError, match="changes its size to 80x48"):
         write_video(tmp_path / "bag", tmp_path / "out/a.mp4")
     assert list((tmp_path / "out").iterdir()) == []
-
-
-def test_depth_scale_is_fixed_near_is_red_and_nothing_is_black() -> None:
-    depth = np.array([[0.1, 7.9, 20.0, np.inf, np.nan, 0.0]], dtype=np.float32)
-    colours = colourise_depth(depth, far_m=8.0)[0].astype(int)
-    assert colours[0, 2] > colours[0, 0] + 60
-    assert np.array_equal(colours[3:], np.zeros((3, 3)))
-    # A lone far point keeps its colour: the scale does not follow the image.
-    assert np.array_equal(colours[2], colourise_depth(np.full((1, 1), 8.0))[0, 0])
-    assert colours[2].max() > 0
 
 
 def test_colours_become_bgr(messages: Any) -> None:

@@ -7,10 +7,8 @@ from pathlib import Path
 import pytest
 
 from gibson_sim_bench.reports import plots
-from gibson_sim_bench.reports.scaling import report_text as scaling_text
-from gibson_sim_bench.reports.soak import report_text as soak_text
-from gibson_sim_bench.scaling import ScalingReport, ScalingRow
-from gibson_sim_bench.soak import Samples, SoakReport
+from gibson_sim_bench.scaling import ScalingReport, ScalingRow, report_text as scaling_text
+from gibson_sim_bench.soak import Samples, SoakReport, report_text as soak_text
 from unit.bench.test_rows import FACTS
 
 SCALING = ScalingReport(

@@ -15,7 +15,6 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.robots.load import load_robot
 from gibson_sim_bench.cli import ros as cli
 from gibson_sim_bench.protocol import write_changed_robot
-from gibson_sim_bench.reports.ros import report_text
 from gibson_sim_bench.ros import (
     ClockCost,
     Pipeline,
@@ -26,6 +25,7 @@ from gibson_sim_bench.ros import (
     Spread,
     Transport,
     pipeline_of,
+    report_text,
     spread,
     targets,
 )

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.description.mimic import Mimic
-from gibson_sim.description.scaling import scaled_model
 from gibson_sim.description.urdf import UrdfModel, parse_urdf
+from gibson_sim.description.urdf_model import Mimic, scaled_model
 from gibson_sim.errors import RobotError
 
 

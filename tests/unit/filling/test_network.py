@@ -11,7 +11,8 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling import fillers, onnx_files
-from gibson_sim.filling.fillers import LEARNED, Filled, PushPull, network_digests, open_filler
+from gibson_sim.filling.fillers import LEARNED, PushPull, network_digests, open_filler
+from gibson_sim.filling.holes import Filled
 from gibson_sim.filling.network import REACH_PX
 from support import onnx_bytes as ox
 from support.filler_networks import generator, our_network, pipeline

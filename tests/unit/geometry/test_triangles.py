@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim.geometry.triangles import areas_of, spread_over, unit_normals
+from gibson_sim.geometry.triangle_meshes import areas_of, spread_over, unit_normals
 
 CORNERS = np.array(
     [

@@ -19,8 +19,8 @@ from gibson_sim_learn.cli import learn
 from gibson_sim_learn.filler import pipeline
 from gibson_sim_learn.filler.evaluation import Flicker, beats_baselines, mean_flicker, scores_of, table
 from gibson_sim_learn.filler.pairs import Pairs, ScannedScene, data_hash, depth_of, load_pairs, save_pairs
-from gibson_sim_learn.filler.scans import make_scan
-from gibson_sim_learn.filler.scoring import Score, Scoring, gmsd, ssim_map, warped
+from gibson_sim_learn.filler.pipeline import make_scan
+from gibson_sim_learn.filler.scoring import Score, Scoring, gmsd, warped
 from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings, options_of
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
 from gibson_sim_learn.training_folder import locked
@@ -59,13 +59,6 @@ def test_a_picture_without_holes_has_no_score_in_holes() -> None:
     scoring.add(flat(1), flat(1), np.zeros((16, 16), bool))
     found = scoring.score()
     assert np.isnan(found.hole_psnr) and found.seen_psnr == 60.0
-
-
-def test_ssim_falls_where_pictures_differ_alone() -> None:
-    other = flat(100, 32)
-    other[:, 24:] = 0
-    found = ssim_map(other, flat(100, 32))
-    assert found[:, :16].min() > 0.999 and found[:, 28:].max() < 0.01
 
 
 def test_gmsd_is_nought_of_equal_pictures_and_counts_edges_by_hand() -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_sim.durations import duration_text
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling.fillers import open_filler
+from gibson_sim.quoting import duration_text
 from gibson_sim_learn.filler.pairs import Pairs
 from gibson_sim_learn.filler.settings import PairsSettings, TrainingSettings
 

@@ -2,9 +2,13 @@
 
 The hand-made room has a floor from (0, 0) to (2, 2) and four walls without thickness 0.125 m inside its rim. At 0.25 m per cell
 the grid has 10 x 10 cells: cell 0 is the rim outside, cells 1 and 8 hold the walls, cells 2 to 7 are inside.
+A point belongs to the highest floor below it.
 """
 
 from __future__ import annotations
+
+import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +16,14 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.maps import floor_map
-from gibson_sim.maps.floor_map import FloorMap, make_floor_map
+from gibson_sim.maps.floor_map import FloorMap, floor_at, floor_name, make_floor_map, with_floor_at
+from gibson_sim.scenes.load import load_scene
+from support.scenes import write_house, write_room
 
 CELL = 0.25
 INSIDE = {(row, column) for row in range(2, 8) for column in range(2, 8)}
 Corners = list[list[float]]
+HOUSE = (-2.5, 0.0, 2.86)
 
 
 def _quad(a: list[float], b: list[float], c: list[float], d: list[float]) -> Corners:
@@ -162,3 +169,33 @@ def test_map_of_things_kilometres_apart_takes_no_gigabyte() -> None:
     assert floor_map._affordable(0.05, np.array([2000.0, 2000.0])) >= 1.0
     assert floor_map._affordable(0.05, np.array([90.0, 90.0])) == 0.05
     assert floor_map._affordable(0.05, np.array([1e5, 0.1])) == 10.0  # few cells, but a row of two million
+
+
+@pytest.mark.parametrize(
+    ("z", "floor"),
+    [
+        (-2.5, 0), (-0.3, 0),  # the cellar, up to its ceiling
+        (0.0, 1), (-0.1, 1), (0.75, 1), (2.5, 1),  # the ground floor; slightly in its floor; on a table; at the ceiling
+        (2.86, 2), (2.7, 2), (5.0, 2), (100.0, 2),  # the upper floor, and above it
+        (-50.0, 0),  # below all floors
+    ],
+)  # fmt: skip
+def test_a_point_is_on_the_highest_floor_below_it(z: float, floor: int) -> None:
+    assert floor_at(HOUSE, z) == floor
+
+
+def test_one_floor_or_none_is_floor_0() -> None:
+    assert floor_at((0.0,), -9.0) == floor_at((0.0,), 9.0) == floor_at((), 3.0) == 0
+
+
+def test_a_height_that_is_not_a_number_is_on_the_lowest_floor() -> None:
+    assert floor_at(HOUSE, math.nan) == 0
+
+
+def test_the_floor_of_a_house_is_named_and_changed(tmp_path: Path) -> None:
+    house = load_scene(write_house(tmp_path / "house"))
+    upper = with_floor_at(house, 3.75)
+    assert (floor_name(house), floor_name(upper), upper.floor_z, upper.floors) == ("floor 0", "floor 1", 3.0, (0.0, 3.0))
+    assert with_floor_at(upper, 1.0).floor_z == 0.0 and with_floor_at(house, 1.0) is house
+    room = load_scene(write_room(tmp_path / "room"))
+    assert floor_name(room) == "" and with_floor_at(room, 9.0) is room

@@ -13,8 +13,7 @@ from gibson_sim.geometry.transforms import R_LINK_OPTICAL
 from gibson_sim.render.batching.building import build_geometry
 from gibson_sim.render.batching.scene_geometry import SceneGeometry
 from gibson_sim.render.culling.draw_plan import VIEW, DrawPlan, DrawPlanner, PinholePicture
-from gibson_sim.render.culling.occluders import LARGE_M2, Occluders
-from gibson_sim.render.culling.subclusters import SUBCLUSTER_TRIANGLES, Subclusters
+from gibson_sim.render.culling.occlusion import LARGE_M2, SUBCLUSTER_TRIANGLES, Occluders, Subclusters
 from gibson_sim.render.culling.visibility import Visibility
 from gibson_sim.types import Pose, Rgba
 

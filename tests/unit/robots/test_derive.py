@@ -10,8 +10,7 @@ import pytest
 
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import RobotError
-from gibson_sim.robots.load import derive_file
-from gibson_sim.scenes.robot_files import load_robot, mesh_points
+from gibson_sim.robots.load import derive_file, load_robot
 
 BODY = '<link name="{}"><collision><origin xyz="0 0 {}"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision></link>'
 ROUND = {
@@ -120,7 +119,7 @@ def test_pins_with_a_level_axis_do_not_steer_and_are_named_and_what_touches_the_
     text = (pair(-0.1) + steered(0.2)).replace('"0 0 1"', '"0 1 0"')
     for side in ("left", "right"):
         text = text.replace(f'<link name="{side}_pin"/>', f'<link name="{side}_pin">{ROUND["cylinder"]}</link>')
-    derived = derive_file(written(tmp_path, text), mesh_points())
+    derived = derive_file(written(tmp_path, text))
     assert derived.values["drive"]["type"] == "skid_steer"
     assert [guess.text for guess in derived.guesses if guess.part == "steering"] == [
         "left_pin_joint: does not steer, since its axis is not vertical",
@@ -131,7 +130,7 @@ def test_pins_with_a_level_axis_do_not_steer_and_are_named_and_what_touches_the_
 
 def guess_of_drive(path: Path) -> str:
     """Returns the line about the kind of drive."""
-    return str(next(guess for guess in derive_file(path, mesh_points()).guesses if guess.key == "drive"))
+    return str(next(guess for guess in derive_file(path).guesses if guess.key == "drive"))
 
 
 MECANUM = {"rear_left": 45, "rear_right": -45, "front_left": -45, "front_right": 45}
@@ -192,7 +191,7 @@ def test_meshes_that_are_equal_across_the_corners_are_pointed_out(tmp_path: Path
             for hand, (corner, x, y) in zip(hands, corners, strict=True)
         )
         path.write_text(f'<robot name="bot">{BODY.format("base_link", 0.1)}{inner}</robot>')
-        derived = derive_file(path, mesh_points())
+        derived = derive_file(path)
         assert derived.values["drive"]["type"] == "skid_steer"
         assert any("as of mecanum wheels" in guess.by_hand for guess in derived.guesses) == crossed, hands
 
@@ -311,7 +310,7 @@ def test_wheels_that_hang_above_the_casters_are_lowered(tmp_path: Path) -> None:
 @pytest.mark.parametrize("shape", ["square", "mesh", "drawn"])
 def test_wheels_that_cannot_roll_become_spheres(tmp_path: Path, shape: str) -> None:
     """Makers publish wheels that collide as boxes, as meshes, or not at all."""
-    derived = derive_file(written(tmp_path, pair(0.1, shape=shape)), mesh_points())
+    derived = derive_file(written(tmp_path, pair(0.1, shape=shape)))
     assert derived.values["round_wheels"] == {"front_left_wheel": 0.08, "front_right_wheel": 0.08}
     model = read_urdf(load_robot(tmp_path / "bot.urdf").urdf)
     assert [(c.shape.kind, c.shape.size[0]) for c in model.link("front_left_wheel").collisions] == [("sphere", 0.08)]

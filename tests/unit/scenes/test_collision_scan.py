@@ -11,13 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError, SceneError
-from gibson_sim.geometry.triangle_meshes import distances, weld
-from gibson_sim.geometry.triangles import areas_of
-from gibson_sim.scenes.collision import scan as scan_module, simplified
+from gibson_sim.geometry.triangle_meshes import areas_of, distances, weld
+from gibson_sim.scenes.collision import scan as scan_module
 from gibson_sim.scenes.collision.cache import RECORD, default_folder
 from gibson_sim.scenes.collision.planes import flatten_floors
-from gibson_sim.scenes.collision.scan import MAX_ERROR, SimplifiedScan, simplify_scan
-from gibson_sim.scenes.collision.simplified import scan_shapes
+from gibson_sim.scenes.collision.scan import MAX_ERROR, SimplifiedScan, scan_shapes, simplify_scan
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.convex_parts import convex_parts
 from support.scans import ROOM, STEP, THRESHOLD, noisy_room
@@ -108,7 +106,7 @@ def test_second_start_takes_what_the_first_one_made(
     scan: Mesh, simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     made: list[int] = []
-    monkeypatch.setattr(simplified, "simplify_scan", lambda *_: (made.append(1), simple)[1])
+    monkeypatch.setattr(scan_module, "simplify_scan", lambda *_: (made.append(1), simple)[1])
     caplog.set_level(logging.INFO)
     first = scan_shapes(*scan, "room", folder=tmp_path)
     assert scan_shapes(*scan, "room", folder=tmp_path) == first
@@ -119,7 +117,7 @@ def test_second_start_takes_what_the_first_one_made(
 
 
 def test_damaged_cache_is_made_again(scan: Mesh, simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(simplified, "simplify_scan", lambda *_: simple)
+    monkeypatch.setattr(scan_module, "simplify_scan", lambda *_: simple)
     first = scan_shapes(*scan, "room", folder=tmp_path)
     (record,) = tmp_path.glob(f"*/{RECORD}")
     record.write_text("{")
@@ -144,7 +142,7 @@ def _scene(folder: Path, line: str) -> Path:
 
 def test_scene_asks_for_it_in_a_word(simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(simplified, "simplify_scan", lambda *_: simple)
+    monkeypatch.setattr(scan_module, "simplify_scan", lambda *_: simple)
     (tmp_path / "scan").mkdir()
     (tmp_path / "scan/room.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     scene = load_scene(_scene(tmp_path / "scan", "{name: room, mesh: room.obj, collision: simplified}"))

@@ -10,7 +10,8 @@ import pytest
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.load_mesh import MeshLoader
-from gibson_sim.scenes.mesh_body import hull_mass_properties, mesh_body
+from gibson_sim.scenes.mass_properties import hull_solid
+from gibson_sim.scenes.spawning import mesh_body
 from support.gltf import Gltf
 
 CUBE_FACES = "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
@@ -34,8 +35,8 @@ def test_box_has_the_mass_and_inertia_of_a_box(tmp_path: Path) -> None:
 
 
 def test_tetrahedron_has_the_second_moments_of_a_tetrahedron() -> None:
-    solid = hull_mass_properties(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
-    assert solid.volume == pytest.approx(1 / 6)
+    solid = hull_solid(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
+    assert solid.mass == pytest.approx(1 / 6)
     np.testing.assert_allclose(solid.center, [0.25, 0.25, 0.25])
     # About the corner: each int x^2 = 1/60, int xy = 1/120; less V c c^T = 1/6 * 1/16 = 1/96: 1/160 and -1/480.
     expected = np.full((3, 3), 1 / 480)
@@ -72,8 +73,8 @@ def test_small_thing_weighs_at_least_10_grams(tmp_path: Path) -> None:
     "points", [[[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 0, 0], [1, 0, 0], [2, 0, 0]]], ids=["sheet", "line"]
 )
 def test_flat_things_have_mass_and_inertia(points: list[list[float]]) -> None:
-    solid = hull_mass_properties(np.array(points, dtype=float))
-    assert solid.volume > 0
+    solid = hull_solid(np.array(points, dtype=float))
+    assert solid.mass > 0
     assert (np.linalg.eigvalsh(solid.inertia) > 0).all()
 
 

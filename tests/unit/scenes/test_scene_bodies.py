@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.description.scaling import scaled_model
 from gibson_sim.description.urdf import parse_urdf
+from gibson_sim.description.urdf_model import scaled_model
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.scenes.load import load_scene

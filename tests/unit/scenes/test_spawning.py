@@ -301,6 +301,18 @@ def test_robot_yaml_must_not_name_a_urdf_outside(tmp_path: Path) -> None:
     assert _error(str(path), roots=(tmp_path / "in",)).code is CODES.NO_RESOURCE
 
 
+def test_robot_is_measured_by_its_meshes_unless_they_lie_outside(tmp_path: Path) -> None:
+    # The square spans y from -0.5 to 0.5 m and z from 0 to 1 m.
+    _write(tmp_path / "meshes" / "square.obj", "v 0 -0.5 0\nv 0 0.5 0\nv 0 0.5 1\nv 0 -0.5 1\nf 1 2 3 4\n")
+    mesh = "<collision><geometry><mesh filename='../meshes/square.obj'/></geometry></collision>"
+    _write(tmp_path / "robot" / "robot.urdf", _urdf(mesh))
+    path = _write(tmp_path / "robot" / "robot.yaml", "urdf: robot.urdf\n")
+    robot = _load(str(path), roots=(tmp_path,))
+    assert isinstance(robot, RobotSpec)
+    assert (robot.radius, robot.height) == pytest.approx((0.5, 1.0))
+    assert "give radius and height" in str(_error(str(path), roots=(tmp_path / "robot",)))
+
+
 # Broken and hostile descriptions
 
 

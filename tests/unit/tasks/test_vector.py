@@ -11,7 +11,7 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.robots.load import load_robot
 from gibson_sim.tasks.controls import Controls
 from gibson_sim.tasks.environments import TaskEnvironment, in_processes
 from gibson_sim.tasks.episode import Observation

@@ -16,8 +16,8 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.maps.placement import furnished_floor_map
+from gibson_sim.robots.load import load_robot
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.trials.json_values import json_text, json_values, restored
 from gibson_sim.trials.planning.plan import plan_runs
 from gibson_sim.trials.planning.seeds import seed_of, stream

@@ -12,8 +12,8 @@ from gibson_sim.description.urdf import UrdfModel, read_urdf
 from gibson_sim.errors import ConfigError
 from gibson_sim.resources import list_robots
 from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec
+from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.trials.planning.plan import plan_runs
 from gibson_sim.trials.planning.robots import VariedRobot, check_variants
 from gibson_sim.trials.scenario.load import ScenarioError

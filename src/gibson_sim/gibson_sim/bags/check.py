@@ -1,8 +1,12 @@
-"""Checks a bag: agreement of stamps, missing messages, contacts, and wheel odometry against ground truth."""
+"""Checks a bag: agreement of stamps, missing messages, contacts, and wheel odometry against ground truth.
+
+It determines which topics are periodic, and the number of their missing messages.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,20 +16,13 @@ from numpy.typing import NDArray
 
 from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, IMAGE_TYPES, base_topic
 from gibson_sim.bags.metadata import REPAIRED, read_metadata
-from gibson_sim.bags.plots.rates import (
-    camera_rate_of,
-    camera_rates,
-    is_event,
-    is_of_this_clock,
-    missing_at,
-    missing_in,
-    period_of,
-)
 from gibson_sim.bags.plots.touches import Touch, TouchFinder, origin_ns, robot_bodies, robot_namespaces
 from gibson_sim.bags.reader import BagReader, TopicInfo
-from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
+from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, state_period_ns
+from gibson_sim.bags.stamps import header_stamp_ns, nominal_period_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import wrap_angle, yaw_from_quat
+from gibson_sim.sensors.schedule import images_due
 from gibson_sim.types import NS_PER_S
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -43,11 +40,29 @@ ONE_SOURCE = (
     CLOCK,
 )
 """Types whose topics have one publisher, so that their stamps must increase. Others (/rosout, /diagnostics) mix several."""
-
 NO_RATE = ("rcl_interfaces/msg/ParameterEvent", "rcl_interfaces/msg/Log", "diagnostic_msgs/msg/DiagnosticArray")
 """Types whose messages are sent on events, by many nodes: their topics have no rate."""
-
 Stamps = NDArray[np.int64]
+_LEAST = 5
+"""Minimum number of messages for which a topic can have a rate."""
+_REGULAR_SHARE = 0.8
+"""Minimum share of intervals within half a period of one period, for a topic with a rate."""
+_EVENT_TYPES = (
+    "geometry_msgs/msg/Twist",
+    "geometry_msgs/msg/TwistStamped",
+    "gibson_msgs/msg/Input",
+    "gibson_msgs/msg/TickDone",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "rosgraph_msgs/msg/Clock",
+)
+"""Types sent on events, or by several nodes: none of their messages count as missing. /clock also comes with whatever else is published."""
+_EVENT_PACKAGES = ("rcl_interfaces/", "action_msgs/", "lifecycle_msgs/", "trajectory_msgs/", "visualization_msgs/")
+_FOREIGN_NS = 24 * 3600 * NS_PER_S
+"""Minimum difference between stamps and log times for which they are of different clocks, ns."""
+_LEAST_RATE = 1e-3
+"""Smallest rate of a sensor, Hz."""
+_CAMERA_TOPICS = ("/image_raw", "/camera_info", "/points")
+"""Endings of the topics that have a message for each image of a camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +240,7 @@ def check_bag(folder: str | Path) -> BagReport:
         infos = bag.topics()
         if not any(info.count for info in infos.values()):
             raise RecordError(f"bag {folder} holds no messages: nothing can be checked")
-        data, rates = _collect(bag, infos), camera_rates(bag)
+        data, rates = _collect(bag, infos), _camera_rates(bag)
         first_ns, last_ns = bag.span_ns
     problems = _order_problems(infos, data)
     notes = _repair_notes(Path(folder))
@@ -247,7 +262,7 @@ def check_bag(folder: str | Path) -> BagReport:
                 compared["its camera_info" if partner.endswith("/camera_info") else "an odometry"] += 1
         notes += [f"{topic}: the bag has no {what}" for what in _lacking(topic, partners)]
     reports = tuple(
-        _topic_report(info, data.stamps.get(topic), data.log_ns[topic], images, camera_rate_of(topic, rates))
+        _topic_report(info, data.stamps.get(topic), data.log_ns[topic], images, _camera_rate_of(topic, rates))
         for topic, info in infos.items()
     )
     notes += _missing_notes(reports)
@@ -371,7 +386,7 @@ def _compare(topic: str, partner: str, data: _Collected, problems: list[str], no
     )
     if inside.any():
         notes.append(f"{topic}: {outside}")
-    elif all(is_of_this_clock(data.stamps[t], data.log_ns[t]) for t in (topic, partner)):
+    elif all(_is_of_this_clock(data.stamps[t], data.log_ns[t]) for t in (topic, partner)):
         # A recorder subscribes to its topics one by one: a short recording has few messages of each topic, at different times.
         notes.append(f"{topic}: all of its {outside}, so that their stamps cannot be compared")
     else:
@@ -385,7 +400,7 @@ def _compare(topic: str, partner: str, data: _Collected, problems: list[str], no
 def _is_in_gap(stamps: Stamps, others: Stamps) -> NDArray[np.bool_]:
     """Returns for each stamp whether it lies between two of the other stamps where messages are missing."""
     ordered = np.unique(others)
-    period_ns = period_of(ordered, periodic=True)
+    period_ns = _period_of(ordered, periodic=True)
     if len(ordered) < 2 or not period_ns:
         return np.zeros(len(stamps), dtype=bool)
     after = np.clip(np.searchsorted(ordered, stamps), 1, len(ordered) - 1)
@@ -409,7 +424,7 @@ def _topic_report(
         images: image topics of the bag.
         camera_rate_hz: recorded rate of its camera, Hz; 0 = unknown, or not of a camera.
     """
-    stamped = stamps is not None and is_of_this_clock(stamps, log_ns)
+    stamped = stamps is not None and _is_of_this_clock(stamps, log_ns)
     times = stamps if stamped and stamps is not None else log_ns
     if not len(times):
         return TopicReport(info)
@@ -417,13 +432,13 @@ def _topic_report(
     if info.latched or info.type_name in (CLOCK, *NO_RATE):
         return TopicReport(info, first, last)
     is_known = stamped and camera_rate_hz > 0.0
-    period = NS_PER_S / camera_rate_hz if is_known else period_of(times, periodic=info.type_name in ONE_SOURCE)
+    period = NS_PER_S / camera_rate_hz if is_known else _period_of(times, periodic=info.type_name in ONE_SOURCE)
     if not period:
         return TopicReport(info, first, last)
     folder, _, name = info.name.rpartition("/")
     alone = name == "camera_info" and not any(base_topic(image).rpartition("/")[0] == folder for image in images)
-    counts = stamped and not is_event(info) and not alone
-    missing = missing_at(times, camera_rate_hz) if is_known else missing_in(times, period)
+    counts = stamped and not _is_event(info) and not alone
+    missing = _missing_at(times, camera_rate_hz) if is_known else _missing_in(times, period)
     return TopicReport(info, first, last, NS_PER_S / period, missing if counts else None, is_known)
 
 
@@ -456,3 +471,73 @@ def _seen_from_start(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _length(poses: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).sum())
+
+
+def _is_event(info: TopicInfo) -> bool:
+    """Returns whether the messages of a topic are sent on events, so that none can be missing."""
+    return info.latched or info.type_name in _EVENT_TYPES or info.type_name.startswith(_EVENT_PACKAGES)
+
+
+def _is_of_this_clock(stamps: NDArray[np.int64], log_ns: NDArray[np.int64]) -> bool:
+    """Returns whether stamps (N,) and log times (N,) use the same clock: /rosout has wall time in a bag of simulation time."""
+    return bool(len(stamps)) and abs(int(np.median(stamps)) - int(np.median(log_ns))) < _FOREIGN_NS
+
+
+def _period_of(times: NDArray[np.int64], *, periodic: bool = False) -> float:
+    """Returns the period of a series of times (N,), nanoseconds; 0.0 if it is not periodic.
+
+    Args:
+        times: times of the messages, nanoseconds.
+        periodic: whether the topic is known to be periodic, regardless of missing messages.
+    """
+    ordered = np.sort(times)
+    period = nominal_period_ns(ordered)
+    if periodic:
+        return period
+    if len(times) < _LEAST:
+        return 0.0
+    steps = np.diff(ordered)
+    regular = np.count_nonzero(np.abs(steps - period) <= 0.6 * period)
+    return period if period and regular >= _REGULAR_SHARE * len(steps) else 0.0
+
+
+def _missing_in(times: NDArray[np.int64], period_ns: float) -> int:
+    """Returns the number of messages missing between the first and the last: a gap of two periods, rounded, = one missing."""
+    return int(np.maximum(np.rint(np.diff(times) / period_ns).astype(np.int64) - 1, 0).sum())
+
+
+def _missing_at(times: NDArray[np.int64], rate_hz: float) -> int:
+    """Returns the number of messages missing between the first and the last of a camera with a known rate."""
+    first, last = int(times.min()), int(times.max())
+    return max(0, images_due(first, last, rate_hz) + 1 - len(np.unique(times)))
+
+
+def _camera_rates(bag: BagReader) -> dict[str, float]:
+    """Returns prefix of topics, ``/camera/`` for example -> rate, Hz, of each camera of the newest recorded scene.
+
+    Cameras with a higher rate than the recorded states are left out: they are rendered at each state.
+
+    Raises:
+        RecordError: the scene cannot be decoded.
+    """
+    of_type = {info.type_name: name for name, info in bag.topics().items() if info.count}
+    if SCENE_TYPE not in of_type or STATE_TYPE not in of_type:
+        return {}
+    newest = deque(bag.raw_messages([of_type[SCENE_TYPE]]), maxlen=1)
+    period_ns = state_period_ns(bag, of_type[STATE_TYPE])
+    if not newest or not period_ns:
+        return {}
+    prefix, highest = of_type[SCENE_TYPE].rpartition("/")[0], 1.01 * NS_PER_S / period_ns
+    cameras = getattr(bag.decode(SCENE_TYPE, newest[0][2]), "cameras", ())
+    rates = {
+        f"{prefix}/{getattr(camera, 'name', '')}/": getattr(camera, "rate", None) for camera in cameras
+    }  # the bag defines the type
+    return {topics: rate for topics, rate in rates.items() if isinstance(rate, float) and _LEAST_RATE <= rate <= highest}
+
+
+def _camera_rate_of(topic: str, rates: Mapping[str, float]) -> float:
+    """Returns the rate of the camera whose images the messages of a topic belong to, Hz; 0.0 if it is unknown."""
+    if not base_topic(topic).endswith(_CAMERA_TOPICS):
+        return 0.0
+    prefixes = [prefix for prefix in rates if topic.startswith(prefix)]
+    return rates[max(prefixes, key=len)] if prefixes else 0.0

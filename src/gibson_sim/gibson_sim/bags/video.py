@@ -19,31 +19,16 @@ from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.picture_files import write_picture
 from gibson_sim.quoting import quoted
+from gibson_sim.sensors.depth_colours import colourise_depth
 from gibson_sim.types import NS_PER_S
 
 ODOMETRY = "nav_msgs/msg/Odometry"
-DEPTH_RANGE_M = 8.0
-"""Depth from which the coldest colour is shown, metres; 0 m has the warmest."""
 MOST_FRAMES = 5_000_000
 """Maximum number of frames of a video; about a day at 60 Hz."""
 MAX_FPS = 60.0
 """Maximum of a frame rate that is derived from the stamps, Hz."""
 
 Bgr = NDArray[np.uint8]
-
-
-def colourise_depth(depth_m: NDArray[np.floating[Any]], far_m: float = DEPTH_RANGE_M) -> Bgr:
-    """Returns depth in false colours, (H, W, 3) uint8 BGR: red is near, blue is ``far_m`` and beyond, black is no depth.
-
-    Args:
-        depth_m: (H, W), metres; infinite, NaN and 0 = no depth.
-        far_m: fixed end of the colour scale, metres, so that it is the same in all images.
-    """
-    something = np.isfinite(depth_m) & (depth_m > 0)
-    near = 1.0 - np.clip(np.where(something, depth_m, 0.0) / far_m, 0.0, 1.0)
-    colours = cv2.applyColorMap(np.rint(near * 255.0).astype(np.uint8), cv2.COLORMAP_TURBO)
-    colours[~something] = 0
-    return np.asarray(colours, dtype=np.uint8)
 
 
 def image_to_bgr(msg: Any) -> Bgr:

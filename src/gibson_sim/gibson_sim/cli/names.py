@@ -51,7 +51,7 @@ def _check_scene(name: str) -> None:
 def _check_robots(text: str) -> None:
     """Loads robots like the physics node, several as ``name=robot``; the node reports the warnings."""
     from gibson_sim.cli.quiet import quiet
-    from gibson_sim.scenes.robot_files import load_robot
+    from gibson_sim.robots.load import load_robot
 
     with quiet():
         if "=" not in text:

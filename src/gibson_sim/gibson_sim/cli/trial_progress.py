@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gibson_sim.cli.console import CONSOLE, Console
 from gibson_sim.cli.workers import report_interrupt
-from gibson_sim.durations import duration_text
+from gibson_sim.quoting import duration_text
 from gibson_sim.trials.comparison import runs_text
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.words import run_line

@@ -15,11 +15,20 @@ from typing import NamedTuple
 
 from gibson_sim.description.gazebo import gazebo_left_out, read_gazebo
 from gibson_sim.description.mesh_files import resolve_mesh, without_up_axis
-from gibson_sim.description.mimic import Mimic, leaders
 from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.description.shapes import Shape
 from gibson_sim.description.urdf_left_out import left_out, listed
-from gibson_sim.description.urdf_model import JOINT_TYPES, Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.description.urdf_model import (
+    JOINT_TYPES,
+    Inertial,
+    Mimic,
+    UrdfCollision,
+    UrdfJoint,
+    UrdfLink,
+    UrdfModel,
+    UrdfVisual,
+    leaders,
+)
 from gibson_sim.description.xacro import is_xacro, with_defaults
 from gibson_sim.errors import RobotError, TextError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
+from gibson_sim.description.unread import Grammar, Unread
 from gibson_sim.quoting import clipped, enumerated, quoted
 
 VERSIONS = ("1.0", "1.1", "1.2")
@@ -66,44 +66,22 @@ def left_out(top: ET.Element, source: str) -> list[str]:
         top: The ``<robot>``.
         source: Name of the file, for the lines.
     """
-    unread: Counter[str] = Counter()
-    unknown: Counter[str] = Counter()
-    attributes: Counter[str] = Counter()
-    repeated: list[str] = []
-    elements = [(top, "the robot")]
-    for element, owner in elements:
-        known = _CHILDREN.get(element.tag, frozenset())
-        for tag, count in Counter(child.tag for child in element).items():
-            if tag in known and (count == 1 or tag in _SEVERAL):
-                continue
-            if tag in known:
-                repeated.append(f"{count} <{tag}> in {owner}")
-            elif tag in _WHY:
-                unread[tag] += count
-            else:
-                unknown[f"<{clipped(tag.rpartition('}')[2], _LONGEST_NAME)}> in <{element.tag}>"] += count
-        geometry = element.find("geometry") if element.tag in ("visual", "collision") else None
-        if geometry is not None and len(geometry) > 1:
-            repeated.append(f"{len(geometry)} shapes in a <geometry> of {owner}")
-        if element is top:
-            attributes.update(_unknown_attributes(top))
-        for child in element:
-            if child.tag in known:
-                attributes.update(
-                    name for read in (child, *(child if child.tag == "geometry" else ())) for name in _unknown_attributes(read)
-                )
-            if child.tag in known and child.tag in _CHILDREN:
-                elements.append((child, _owner(child, owner)))
+    found = Unread(_GRAMMAR)
+    found.look(top, "the robot")
     lines = []
-    if unread:
-        parts = ", ".join(f"{count} <{tag}> ({_WHY[tag]})" for tag, count in unread.items())
+    if found.omitted:
+        parts = ", ".join(f"{one.tags.total()} <{', '.join(one.tags)}> ({why})" for why, one in found.omitted.items())
         lines.append(f"{source}: not simulated: {parts}")
-    if unknown:
+    if found.unknown:
+        unknown = {
+            f"<{clipped(tag.rpartition('}')[2], _LONGEST_NAME)}> in <{parent}>": n for (parent, tag), n in found.unknown.items()
+        }
         lines.append(f"{source}: elements that URDF does not have are left out: {_counted(unknown)}")
-    if attributes:
+    if found.attributes:
+        attributes = {f"{clipped(name, _LONGEST_NAME)} of <{tag}>": n for (name, tag), n in found.attributes.items()}
         lines.append(f"{source}: attributes that URDF does not have have no effect: {_counted(attributes)}")
-    if repeated:
-        lines.append(f"{source}: only the first of several counts: {listed(repeated)}")
+    if found.repeated:
+        lines.append(f"{source}: only the first of several counts: {listed(found.repeated)}")
     rates = [
         f"{key} of {quoted(joint.get('name', ''))}"
         for joint in top.findall("joint")
@@ -121,14 +99,6 @@ def left_out(top: ET.Element, source: str) -> list[str]:
     return lines
 
 
-def _unknown_attributes(element: ET.Element) -> list[str]:
-    """Returns the attributes of an element that is read that URDF does not have; those with a prefix belong to others."""
-    if element.tag not in _ATTRIBUTES:
-        return []
-    names = [name for name in element.attrib if name not in _ATTRIBUTES[element.tag] and ":" not in name and "}" not in name]
-    return [f"{clipped(name, _LONGEST_NAME)} of <{element.tag}>" for name in names]
-
-
 def listed(names: Iterable[str]) -> str:
     """Returns names for a message: the first few, each of limited length, and how many more there are."""
     return enumerated([clipped(name, 2 * _LONGEST_NAME) for name in names], _MOST_NAMED)
@@ -139,5 +109,24 @@ def _owner(child: ET.Element, owner: str) -> str:
     return f"{child.tag} {quoted(child.get('name', ''))}" if child.tag in ("link", "joint", "material") else owner
 
 
-def _counted(counts: Counter[str]) -> str:
+def _check_shapes(found: Unread, element: ET.Element, key: str, owner: str) -> None:
+    geometry = element.find("geometry") if key in ("visual", "collision") else None
+    if geometry is not None and len(geometry) > 1:
+        found.repeated[f"{len(geometry)} shapes in a <geometry> of {owner}"] = None
+
+
+def _counted(counts: Mapping[str, int]) -> str:
     return listed(f"{count} {what}" if count > 1 else what for what, count in counts.items())
+
+
+_GRAMMAR = Grammar(
+    {
+        tag: {**{other: (why, ()) for other, why in _WHY.items()}, **dict.fromkeys(read, ("", ()))}
+        for tag, read in _CHILDREN.items()
+    },
+    _ATTRIBUTES,
+    _SEVERAL,
+    foreign=True,
+    place=_owner,
+    check=_check_shapes,
+)

@@ -1,16 +1,15 @@
-"""The kinematic tree of a URDF: links, shapes, joints. Pure values; ``description.urdf`` reads them."""
+"""The kinematic tree of a URDF: links, shapes, joints, mimic joints, and its scaling. Pure values; ``description.urdf`` reads them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from gibson_sim.description.gazebo import GazeboTags
-from gibson_sim.description.mimic import Mimic
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
@@ -210,3 +209,114 @@ class UrdfModel:
             if joint.mimic is not None:
                 all_positions[joint.name] = joint.mimic.position(positions.get(joint.mimic.leader, 0.0))
         return all_positions
+
+
+def scaled_model(model: UrdfModel, factor: float) -> UrdfModel:
+    """Returns the model with all lengths scaled by ``factor`` at constant density: mass scales with the third power.
+
+    The travel of prismatic joints scales with ``factor``; angles do not change. Damping and friction scale with mass and inertia, so that joints
+    come to rest as before.
+    """
+    if factor == 1.0:
+        return model
+    links = tuple(_link(link, factor) for link in model.links)
+    factors = {joint.name: factor if joint.kind == "prismatic" else 1.0 for joint in model.joints}
+    return replace(model, links=links, joints=tuple(_joint(joint, factor, factors) for joint in model.joints))
+
+
+def _link(link: UrdfLink, factor: float) -> UrdfLink:
+    inertial = link.inertial
+    if inertial is not None:
+        ixx, ixy, ixz, iyy, iyz, izz = (moment * factor**5 for moment in inertial.inertia)
+        inertial = Inertial(inertial.mass * factor**3, _pose(inertial.pose, factor), (ixx, ixy, ixz, iyy, iyz, izz))
+    return replace(
+        link,
+        visuals=tuple(replace(v, shape=_shape(v.shape, factor), pose=_pose(v.pose, factor)) for v in link.visuals),
+        collisions=tuple(replace(c, shape=_shape(c.shape, factor), pose=_pose(c.pose, factor)) for c in link.collisions),
+        inertial=inertial,
+    )
+
+
+def _joint(joint: UrdfJoint, factor: float, factors: dict[str, float]) -> UrdfJoint:
+    travel_factor = factors[joint.name]
+    # The damping of a prismatic joint (N s/m) scales with the mass, that of a hinge (N m s/rad) with the inertia.
+    damping = joint.damping * factor ** (3 if joint.kind == "prismatic" else 5)
+    # The friction of a prismatic joint (N) scales with mass times length, that of a hinge (N m) with the inertia.
+    friction = joint.friction * factor ** (4 if joint.kind == "prismatic" else 5)
+    pose, lower, upper = _pose(joint.pose, factor), joint.lower * travel_factor, joint.upper * travel_factor
+    return replace(
+        joint,
+        pose=pose,
+        lower=lower,
+        upper=upper,
+        damping=damping,
+        mimic=_mimic(joint, travel_factor, factors),
+        friction=friction,
+    )
+
+
+def _mimic(joint: UrdfJoint, travel_factor: float, factors: dict[str, float]) -> Mimic | None:
+    """Returns the mimic of a joint whose travel is scaled by ``stretch``, and that of its leader by its factor in ``factors``."""
+    if joint.mimic is None:
+        return None
+    multiplier = joint.mimic.multiplier * travel_factor / factors[joint.mimic.leader]
+    return replace(joint.mimic, multiplier=multiplier, offset=joint.mimic.offset * travel_factor)
+
+
+def _shape(shape: Shape, factor: float) -> Shape:
+    x, y, z = shape.size
+    return replace(shape, size=(x * factor, y * factor, z * factor))
+
+
+def _pose(pose: Pose, factor: float) -> Pose:
+    x, y, z = pose.position
+    position: Vec3 = (x * factor, y * factor, z * factor)
+    return replace(pose, position=position)
+
+
+@dataclass(frozen=True, slots=True)
+class Mimic:
+    """A mimic joint: its position is ``multiplier`` times that of its leader, plus ``offset``."""
+
+    leader: str
+    """Name of the leader, which is not a mimic joint itself."""
+    multiplier: float = 1.0
+    offset: float = 0.0
+    """Offset, radians or metres."""
+
+    def position(self, leader: float) -> float:
+        """Returns the position of the mimic joint for the position of its leader."""
+        return self.multiplier * leader + self.offset
+
+
+def leaders(mimics: Mapping[str, Mimic], moving: Collection[str], where: str) -> dict[str, Mimic]:
+    """Resolves chains of mimic joints: returns each mimic joint with the last joint of its chain as leader.
+
+    Args:
+        mimics: Mimic joint -> its leader in the file, which may itself be a mimic joint.
+        moving: All movable joints.
+        where: The file, for messages.
+
+    Raises:
+        RobotError: a leader does not exist or is fixed, or the chain is a cycle.
+    """
+    resolved = {}
+    for name, mimic in mimics.items():
+        chain = [name]
+        while True:
+            if mimic.leader not in moving:
+                raise RobotError(
+                    f"{where}: joint {quoted(chain[-1])} mimics {quoted(mimic.leader)}, which is not a movable joint; "
+                    f"movable joints: {', '.join(moving) or 'none'}"
+                )
+            if mimic.leader in chain:
+                raise RobotError(
+                    f"{where}: joints {', '.join(map(repr, chain))} mimic each other in a cycle; one of them must not"
+                )
+            next_mimic = mimics.get(mimic.leader)
+            if next_mimic is None:
+                break
+            chain.append(mimic.leader)
+            mimic = Mimic(next_mimic.leader, mimic.multiplier * next_mimic.multiplier, mimic.position(next_mimic.offset))
+        resolved[name] = mimic
+    return resolved

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.filling.holes import SURFACE, is_hole
+from gibson_sim.filling.holes import SURFACE, Filled, Filler, is_hole
 from gibson_sim.filling.inputs import filled_colour
 from gibson_sim.filling.onnx_files import MAX_BYTES
 from gibson_sim.filling.push_pull import push_pull_depth
@@ -22,34 +20,6 @@ F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 LEARNED = Path(__file__).with_name("models") / "filler.onnx"
 """The network that ships with the package."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Filled:
-    """An image without holes."""
-
-    colour: U8
-    """(H, W, 3), sRGB."""
-    depth: F32 | None = None
-    """(H, W), metres, +inf = nothing; equal to the rendered depth outside holes; None = not requested."""
-
-
-class Filler(Protocol):
-    """Fills holes."""
-
-    def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
-        """Returns an image without holes.
-
-        Args:
-            colour: (H, W, 3), sRGB, as rendered.
-            depth: (H, W), metres, +inf = nothing.
-            normals: (H, W, 3), optical frame, facing the camera, 0 = nothing.
-            hole: (H, W), as ``Frame.hole``, but ``OUTSIDE`` outside the lens and ``MOVING`` on moving links.
-            with_depth: also fill depth.
-
-        Raises:
-            ConfigError: a network cannot be run.
-        """
 
 
 class PushPull:

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.filling.fillers import Filled
-from gibson_sim.filling.holes import MOVING, NOTHING, OUTSIDE, SURFACE, UNSEEN, is_hole
+from gibson_sim.filling.holes import MOVING, NOTHING, OUTSIDE, SURFACE, UNSEEN, Filled, is_hole
 from gibson_sim.filling.inputs import CHANNELS, filled_colour, packed
 from gibson_sim.filling.onnx_files import DeviceTensor, device_of, not_finite, open_session, run, run_on_device
 from gibson_sim.filling.push_pull import push_pull_depth

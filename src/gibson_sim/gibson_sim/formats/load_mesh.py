@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gibson_sim.description.extents import MeshPoints
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import MeshError, TextError
 from gibson_sim.formats.dae import load_dae
@@ -26,17 +27,19 @@ from gibson_sim.formats.obj import load_obj
 from gibson_sim.formats.ply import load_ply
 from gibson_sim.formats.stl import load_stl
 from gibson_sim.formats.textures import Decode, TextureStore
-from gibson_sim.geometry.triangles import areas_of
+from gibson_sim.geometry.triangle_meshes import areas_of
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import read_file
 
 __all__ = [
     "LIGHT_GREY", "MESH_SUFFIXES", "Material", "Mesh", "MeshLoader", "MeshPart", "TextureSource",
-    "load_mesh", "load_shape", "primitive_mesh",
+    "load_mesh", "load_shape", "mesh_points", "primitive_mesh",
 ]  # fmt: skip
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".stl", ".ply")
 """Suffixes of supported mesh files, lower case."""
+_MAX_MEASURED_BYTES = 64_000_000
+"""Maximum size of a mesh file that is measured, bytes."""
 SEGMENTS = 48
 """Number of segments of the circles of primitives."""
 _Geometry = tuple[F64, F64, F64, I64]
@@ -176,6 +179,16 @@ class MeshLoader:
                 f"{path}: {quoted(suffix or 'no suffix')} is not a mesh format that can be read; known: {', '.join(MESH_SUFFIXES)}"
             )
         return Mesh(tuple(parts), tuple(warnings), tuple(files), up_axis, unit_m)
+
+
+def mesh_points(roots: Sequence[Path] | None = None) -> MeshPoints:
+    """Returns a function that maps the path of a mesh file to its vertices (N, 3), metres, and reads each file once.
+
+    Args:
+        roots: folders that meshes must lie in; None = anywhere.
+    """
+    loader = MeshLoader(roots, textures=False, max_bytes=_MAX_MEASURED_BYTES)
+    return lambda path: loader.mesh(path).merged()[0]
 
 
 def load_mesh(path: Path, allowed_roots: Sequence[Path]) -> Mesh:

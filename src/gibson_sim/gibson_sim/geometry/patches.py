@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.geometry.triangles import spread_over, unit_normals
+from gibson_sim.geometry.triangle_meshes import spread_over, unit_normals
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

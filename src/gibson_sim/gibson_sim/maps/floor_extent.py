@@ -13,7 +13,7 @@ from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
 from gibson_sim.formats.mesh import merge
 from gibson_sim.geometry.rasterise import clip_to_slab
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
-from gibson_sim.maps.floors import floor_at
+from gibson_sim.maps.floor_map import floor_at
 from gibson_sim.maps.traversability import STOREY, find_floors
 from gibson_sim.scenes.builder import estimate_floor
 from gibson_sim.scenes.scene_meshes import collision_triangles

@@ -3,6 +3,7 @@
 Cells are square; row 0 is at the lowest y, column 0 at the lowest x, as in ``nav_msgs/OccupancyGrid``. A cell is occupied if it intersects an
 obstacle between the floor and the robot's height, or if it is inside a solid that stands on the floor, since the triangles of a wardrobe are
 only its faces.
+A point belongs to the highest floor below it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from scipy import ndimage
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.rasterise import ROUNDING, Grid, clip_to_slab
-from gibson_sim.geometry.triangles import unit_normals
+from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim.scenes.scene_meshes import collision_triangles
 from gibson_sim.scenes.spec import SceneSpec
 
@@ -29,7 +30,6 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 T = TypeVar("T", bound=np.generic)
 logger = logging.getLogger(__name__)
-
 FLOOR_CLEARANCE = 0.03
 """Height above the floor below which objects are not obstacles, metres: thresholds, carpets, the bumps of a scan."""
 FLOOR_TOLERANCE = 0.10
@@ -38,7 +38,6 @@ _LEVEL = math.cos(math.radians(20.0))
 """Minimum cosine of the angle between the normal of a floor and the vertical."""
 MIN_GROUND_SHARE = 0.2
 """Minimum share of cells with floor; below it the ground plane is the floor everywhere."""
-
 _MAX_CELLS = 4_000_000
 """Maximum number of cells, 100 x 100 m at 5 cm: named poses of 16 million took four seconds and a gigabyte."""
 _MAX_SIDE = 20_000
@@ -47,21 +46,18 @@ _COARSE = 0.3
 """Cell size above which robots find no paths, metres: a quarter of the cells is then sufficient, in a quarter of the time."""
 _EXACT_BELOW = 2000.0
 """Distance below which single precision represents all squares of distances exactly, half cells."""
-
 _CEILING = (1.8, 6.0)
 """Height range above the floor in which a level surface is a ceiling, metres."""
 _CEILING_WIDTH = 0.6
 """Minimum width of a ceiling, metres: lintels, tops of walls and lamps are narrower."""
 _CEILING_LEVEL = math.cos(math.radians(50.0))
 """Minimum cosine of the angle between the normal of a ceiling and the vertical."""
-
 _OPEN_SHARE = 0.2
 """Minimum share of the border of a region that is not enclosed, for it to be outdoors, such as lawns and terraces."""
 _ROOM_AREA = 1.0
 """Minimum area of a room, square metres."""
 _YARD_WEIGHT = 0.02
 """Weight of area without a ceiling in scenes with ceilings."""
-
 _FLAT = 0.9
 """Minimum cosine between the vertical and the normal of an underside that rests on the floor."""
 _STEEP = 0.05
@@ -70,6 +66,8 @@ _MAX_COVERED = 0.9
 """Maximum share of the floor that objects cover; if more faces point down, the mesh is wrong."""
 _TIE = 0.002
 """Maximum distance of an underside below the floor that it rests on, metres."""
+_BELOW = 0.2
+"""Distance below a floor within which a point still belongs to it, metres: bodies on an uneven floor. A slab is thicker."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -387,3 +385,26 @@ def _distance_to_blocked(blocked: Bools, resolution: float) -> F64:
     distance = cv2.distanceTransform((~lattice).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1::2, 1::2].astype(np.float64)
     exact = np.where(distance < _EXACT_BELOW, np.sqrt(np.rint(np.square(distance))), distance)
     return np.asarray(exact * (resolution / 2), dtype=np.float64)
+
+
+def floor_at(floors: Sequence[float], z: float) -> int:
+    """Returns the index of the floor on which a point is: the highest that is at most 0.2 m above it, else the lowest.
+
+    So a lamp at the ceiling belongs to the floor below it, and a robot on a staircase to the floor that it comes from going up.
+
+    Args:
+        floors: heights of the floors in increasing order, world metres; empty counts as one floor.
+        z: height of the point, world metres.
+    """
+    return max((number for number, floor_z in enumerate(floors) if floor_z <= z + _BELOW), default=0)
+
+
+def with_floor_at(scene: SceneSpec, z: float) -> SceneSpec:
+    """Returns the scene with ``floor_z`` at the floor on which a point is; ``z``: height of the point, world metres."""
+    floor_z = scene.floors[floor_at(scene.floors, z)]
+    return scene if floor_z == scene.floor_z else replace(scene, floor_z=floor_z, other_floors=scene.floors)
+
+
+def floor_name(scene: SceneSpec) -> str:
+    """Returns the name of the floor at ``floor_z`` where a scene has several, such as ``floor 1``, 0 = the lowest; else an empty text."""
+    return f"floor {scene.floors.index(scene.floor_z)}" if len(scene.floors) > 1 else ""

@@ -14,8 +14,7 @@ from scipy import ndimage
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
-from gibson_sim.maps.floors import floor_at
+from gibson_sim.maps.floor_map import FloorMap, floor_at, scene_floor_map
 from gibson_sim.maps.rooms import NARROWEST_DOOR, Door, door_at, find_rooms, passages
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spec import SceneSpec, StartPose

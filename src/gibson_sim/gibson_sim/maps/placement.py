@@ -11,13 +11,12 @@ import numpy as np
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.maps.bodies import body_triangles
-from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
-from gibson_sim.maps.floors import with_floor_at
+from gibson_sim.maps.floor_map import FloorMap, scene_floor_map, with_floor_at
 from gibson_sim.maps.tour import choose_start
 from gibson_sim.quoting import quoted
+from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.load import load_scene, with_robots
-from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.settings import nearest
 from gibson_sim.types import FARTHEST_M, Pose

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
-from gibson_sim.geometry.triangles import unit_normals
+from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim.maps.export import write_gibson_maps
 from gibson_sim.maps.floor_map import FLOOR_CLEARANCE, FLOOR_TOLERANCE, FloorMap, has_ground_at
 from gibson_sim.maps.free_poses import FREE_POSES, FreePose, random_free_poses, write_free_poses
 from gibson_sim.maps.traversability import RobotSize, floor_maps, scene_triangles
-from gibson_sim.scenes.load import DESCRIPTION, load_scene
+from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.room_spec import RoomSpec, room_at
+from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.scenes.spec import SceneSpec
 
 F64 = NDArray[np.float64]

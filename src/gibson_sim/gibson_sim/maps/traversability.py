@@ -16,7 +16,7 @@ from scipy import ndimage
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.mesh import merge
 from gibson_sim.geometry.rasterise import Grid, clip_to_slab
-from gibson_sim.geometry.triangles import areas_of, unit_normals
+from gibson_sim.geometry.triangle_meshes import areas_of, unit_normals
 from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import (
     FLOOR_CLEARANCE,

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.description.mimic import Mimic
+from gibson_sim.description.urdf_model import Mimic
 from gibson_sim.errors import PhysicsError
 from gibson_sim.physics.active_bodies import ActiveBodies, SleepingBodies, count_solver_bodies
 from gibson_sim.physics.engine import pybullet as p, quiet

@@ -1,10 +1,10 @@
-"""Reads a ``robot.yaml`` and its URDF to a ``RobotSpec``; ``docs/robots.md`` describes the keys. Pure: no physics, no ROS."""
+"""Reads a ``robot.yaml``, its URDF and its meshes to a ``RobotSpec``; ``docs/robots.md`` describes the keys. Pure: no physics, no ROS."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from gibson_sim.description.rigid_groups import MOVING_TYPES
 from gibson_sim.description.urdf import UrdfModel, read_urdf
 from gibson_sim.description.xacro import plain_description
 from gibson_sim.errors import ConfigError, RobotError
+from gibson_sim.formats.load_mesh import mesh_points
 from gibson_sim.formats.textured_shapes import with_textures
 from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap, read_yaml_map
 from gibson_sim.geometry.transforms import matrix_from_pose
@@ -64,7 +65,7 @@ def load_robot(
     name: str = "robot",
     start: Pose | None = None,
     find: Callable[[str], Path] | None = None,
-    points: MeshPoints | None = None,
+    roots: Sequence[Path] | None = None,
     log: bool = True,
 ) -> RobotSpec:
     """Returns the robot of a ``robot.yaml``, or of a URDF or a xacro, whose other values are guessed (``robots.loading.derive``).
@@ -74,7 +75,7 @@ def load_robot(
         name: Body name; its links become ``<name>/<link>``.
         start: T_world_base at load; None = the origin.
         find: Returns a robot's folder or file by its name; None = ``config/robots/<name>`` of a share folder (see ``resources``).
-        points: Reads meshes; None = meshes are ignored for radius, height and wheels. ``scenes.robot_files`` provides it.
+        roots: Folders that meshes must lie in, which are measured for radius, height and wheels; None = anywhere.
         log: Whether guesses and warnings are logged; False for a list of robots, none of which is simulated.
 
     Raises:
@@ -84,7 +85,7 @@ def load_robot(
         raise RobotError(f"robot name {quoted(name)} is not usable in ROS; use letters, digits and _, a letter first")
     path = find_robot_file(path_or_name, find)
     if path.suffix.lower() in DESCRIPTION_SUFFIXES:
-        derived = derive_file(path, points)
+        derived = derive_file(path, roots=roots)
         for guess in derived.guesses if log else ():
             logger.info("%s: no robot.yaml; guessed %s", path.name, guess)
         robot = YamlMap({"urdf": path.name, **derived.values}, str(path), error=RobotError)
@@ -105,7 +106,7 @@ def load_robot(
                 f"{robot.where}: fixed_base is true and there is a drive; a fixed base cannot drive: remove one of them"
             )
         poses, joints = read_poses(robot, model, drive)
-        radius, height = _size(model, robot, dict(joints), points)
+        radius, height = _size(model, robot, dict(joints), mesh_points(roots))
         return RobotSpec(
             name=name,
             urdf=model.path,
@@ -130,12 +131,12 @@ def load_robot(
 
 
 def derive_file(
-    path: Path, points: MeshPoints | None = None, arguments: Mapping[str, str] | None = None, *, needs_drive: bool = True
+    path: Path, arguments: Mapping[str, str] | None = None, *, roots: Sequence[Path] | None = None, needs_drive: bool = True
 ) -> DerivedRobot:
-    """Returns a guess of the ``robot.yaml`` for the URDF or xacro at ``path``; see ``derive_robot``."""
+    """Returns a guess of the ``robot.yaml`` for the URDF or xacro at ``path``; see ``derive_robot``, and ``load_robot`` for ``roots``."""
     # Errors must name the user's file, not its expansion.
     model = replace(read_urdf(plain_description(path, arguments or {})), path=path)
-    return derive_robot(model, points, needs_drive=needs_drive)
+    return derive_robot(model, mesh_points(roots), needs_drive=needs_drive)
 
 
 def find_robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None = None) -> Path:
@@ -205,7 +206,7 @@ def _description(robot: YamlMap, path: Path) -> Path:
     return plain_description(file, arguments)
 
 
-def _size(model: UrdfModel, robot: YamlMap, joints: Mapping[str, float], points: MeshPoints | None) -> tuple[float, float]:
+def _size(model: UrdfModel, robot: YamlMap, joints: Mapping[str, float], points: MeshPoints) -> tuple[float, float]:
     """Returns (radius about the base's z axis, height above the floor), metres, from the file or from the collision shapes.
 
     ``joints``: joint positions at load, radians or metres.

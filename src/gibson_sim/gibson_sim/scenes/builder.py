@@ -24,7 +24,7 @@ from gibson_sim.formats.uris import environment_folders, is_registered
 from gibson_sim.geometry.transforms import pose_from_matrix, transform_points
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, read_file, real_path
-from gibson_sim.scenes.collision.simplified import scan_shapes
+from gibson_sim.scenes.collision.scan import scan_shapes
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.scene_meshes import shape_triangles
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, SplatsSpec, StartPose

@@ -21,13 +21,11 @@ from gibson_sim.resources import find_scene
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.drake_directives import read_drake_directives
-from gibson_sim.scenes.scene_yaml import read_scene_yaml
+from gibson_sim.scenes.scene_yaml import DESCRIPTION, read_scene_yaml
 from gibson_sim.scenes.sdf.world import read_sdf_world
 from gibson_sim.scenes.spec import SceneSpec
 
 _log = logging.getLogger(__name__)
-DESCRIPTION = "scene.yaml"
-"""Name of the project's own description of a scene."""
 _WORLD_TAG = re.compile(rb"<world[\s>]")
 _HEAD_BYTES = 64 * 1024
 """Maximum size of the beginning of an SDF file that is searched for ``<world>``, bytes."""
@@ -84,7 +82,7 @@ def finish(builder: SceneBuilder) -> SceneSpec:
         _log.warning("scene %s: %s", scene.name, warning)
     missing = sum(kind_of(warning) is OmissionKind.MISSING_ASSET for warning in scene.warnings)
     if missing:
-        rest = "" if scene.visuals or scene.collisions or scene.bodies else "; nothing but the ground is left"
+        rest = "; nothing but the ground is left" if scene.is_only_ground else ""
         _log.warning(
             "scene %s: %d models, meshes or textures are missing%s: the lines above say which", scene.name, missing, rest
         )

@@ -1,4 +1,4 @@
-"""Reads the project's own scene description, ``scene.yaml``: light, objects, rooms, bodies and start poses.
+"""Reads and writes the project's own scene description, ``scene.yaml``: light, objects, rooms, bodies and start poses.
 
 docs/scenes.md lists the keys; any other key is an error.
 """
@@ -6,17 +6,20 @@ docs/scenes.md lists the keys; any other key is an error.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from gibson_sim.description.body import BodySpec
 from gibson_sim.description.rigid_groups import MOVING_TYPES
-from gibson_sim.description.scaling import scaled_model
 from gibson_sim.description.shapes import Appearance, Shape, ShapeKind
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
+from gibson_sim.description.urdf_model import scaled_model
 from gibson_sim.errors import MeshError, SceneError, TextError
 from gibson_sim.formats.mesh import UpAxis
 from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap
@@ -28,9 +31,12 @@ from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import SPLAT_SCALES, LightSpec, PointLight, StartPose
 from gibson_sim.types import Pose, Rgba, Vec3
+from gibson_sim.writing import write_file
 
 F64 = NDArray[np.float64]
 
+DESCRIPTION = "scene.yaml"
+"""Name of the file."""
 _SCENE_KEYS = (
     "name",
     "description",
@@ -64,6 +70,23 @@ _START_KEYS = ("name", "xy", "xyz", "yaw_deg")
 _UP_AXES: dict[str, UpAxis] = {"x": "x", "y": "y", "z": "z"}
 _BODY_SCALES = (0.01, 100.0)
 """Minimum and maximum scale of a body."""
+
+
+def write_scene_yaml(folder: Path, content: Mapping[str, Any], comment: str = "", *, width: int | None = 140) -> None:
+    """Writes the scene.yaml of a folder; equal contents give identical files.
+
+    Args:
+        folder: folder of the scene.
+        content: the keys with plain values, in their order in the file.
+        comment: first line, without its ``#``; empty = none.
+        width: preferred line width, characters, with innermost collections on one line; None = one line for each value.
+
+    Raises:
+        WriteError: the file cannot be written.
+    """
+    layout: dict[str, Any] = {} if width is None else {"default_flow_style": None, "width": width}
+    text = yaml.safe_dump(dict(content), sort_keys=False, allow_unicode=True, **layout)
+    write_file(folder / DESCRIPTION, f"# {comment}\n{text}" if comment else text)
 
 
 def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:

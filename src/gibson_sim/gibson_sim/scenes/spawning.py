@@ -1,7 +1,8 @@
 """Converts a resource, a URI or the text of a URDF or SDF model, to a BodySpec or a RobotSpec that physics can load.
 
 Resources come from clients and are not trusted: every number is checked, every file must lie in an allowed folder, and a missing file is an
-error that names it. Must import neither ROS nor a physics engine.
+error that names it. A mesh becomes a rigid body with the mass and inertia of its convex hull at uniform density. Must import neither ROS nor a
+physics engine.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from gibson_sim.description.mesh_files import resolve_mesh
 from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.description.rigid_groups import MOVING_TYPES, rigid_groups
 from gibson_sim.description.shapes import Shape
-from gibson_sim.description.urdf import Inertial, UrdfJoint, UrdfModel, parse_urdf, read_urdf
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual, parse_urdf, read_urdf
 from gibson_sim.description.xacro import is_xacro
 from gibson_sim.errors import GibsonSimError, MeshError, RobotError, SceneError, SceneNotFoundError, TextError
 from gibson_sim.formats.file_roots import description_roots, is_inside
@@ -31,7 +32,7 @@ from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, is_folder, read_
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
-from gibson_sim.scenes.mesh_body import mesh_body
+from gibson_sim.scenes.mass_properties import hull_solid
 from gibson_sim.scenes.sdf.body import MAX_LINKS, SdfBodyReader
 from gibson_sim.scenes.sdf.elements import parse_sdf, sdf_files, sdf_version
 from gibson_sim.scenes.sdf.model import SdfModels
@@ -44,7 +45,6 @@ from gibson_sim.types import Pose
 __all__ = [
     "SPAWN_FORMATS", "SpawnError", "SpawnFailure", "Spawnable", "built_in_spawnables", "find_spawnables", "load_spawnable", "spawn_name",
 ]  # fmt: skip
-
 SPAWN_FORMATS: tuple[str, ...] = ("urdf", "sdf", "robot.yaml", *(suffix[1:] for suffix in MESH_SUFFIXES))
 """Formats that can be spawned, as in SimulatorFeatures.spawn_formats."""
 MAX_PARTS = 2000
@@ -59,6 +59,14 @@ MAX_INERTIA = 1e9
 _TEXT = TEXT_FOLDER / "resource_string"
 _NO_RESOURCE = "neither a uri nor a resource_string is given; give one of them"
 _ALLOWED = f"give a {ROBOT_FILE}, a URDF, an SDF model, a folder with one of these, or a mesh ({', '.join(MESH_SUFFIXES)})"
+_HULL_DENSITY = 300.0
+"""Density of the hull, kg/m^3; a typical value for furniture and vessels, which are hollow."""
+_HULL_MASS_RANGE = (0.01, 100.0)
+"""Minimum and maximum mass, kg."""
+_HULL_FRICTION = 0.5
+"""Coulomb friction coefficient."""
+_HULL_LINK = "body"
+"""Name of the only link."""
 
 
 class SpawnFailure(Enum):
@@ -299,7 +307,7 @@ def _sdf_body(
 
 def _robot(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> RobotSpec:
     try:
-        robot = load_robot(file, name=name, start=pose)
+        robot = load_robot(file, name=name, start=pose, roots=roots or None)
         check_inside(robot.urdf, roots, str(robot.urdf))
         model = read_urdf(robot.urdf)
     except RobotError as e:
@@ -485,3 +493,31 @@ def _first_name(data: bytes) -> str:
 def _public_text(code: SpawnFailure, error: GibsonSimError) -> str:
     """Returns the message for clients that may not see the file."""
     return f"{_PUBLIC[code]}: {error.public}" if error.public else _PUBLIC[code]
+
+
+def mesh_body(path: Path, loader: MeshLoader) -> UrdfModel:
+    """Returns a model with one link whose visual and collision shape is the mesh; physics uses its convex hull.
+
+    Args:
+        path: the mesh file.
+        loader: reads the file.
+
+    Raises:
+        MeshError: the mesh cannot be used.
+    """
+    mesh = loader.mesh(path)
+    solid = hull_solid(mesh.merged()[0])
+    mass = float(np.clip(_HULL_DENSITY * solid.mass, *_HULL_MASS_RANGE))
+    i = solid.inertia * (mass / solid.mass)
+    x, y, z = (float(c) for c in solid.center)
+    moments = (i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2])
+    ixx, ixy, ixz, iyy, iyz, izz = (float(moment) for moment in moments)
+    shape = Shape("mesh", (1.0, 1.0, 1.0), str(mesh.files[0]))
+    link = UrdfLink(
+        _HULL_LINK,
+        (UrdfVisual(shape, Pose(), None),),
+        (UrdfCollision(shape, Pose()),),
+        Inertial(mass, Pose((x, y, z)), (ixx, ixy, ixz, iyy, iyz, izz)),
+        _HULL_FRICTION,
+    )
+    return UrdfModel(path.stem, path, (link,), (), mesh.warnings)

@@ -186,6 +186,11 @@ class SceneSpec:
         """Heights of all floors, from the lowest, metres."""
         return tuple(sorted({self.floor_z, *self.other_floors}))
 
+    @property
+    def is_only_ground(self) -> bool:
+        """Whether the scene has nothing but the ground: no visual, no collision shape and no body; robots do not count."""
+        return not (self.visuals or self.collisions or self.bodies)
+
     def room_at(self, x: float, y: float, floor: int = 0) -> RoomSpec | None:
         """Returns the room at a point, world metres, on a floor, 0 = the lowest; None = no room there."""
         return room_at(self.rooms, x, y, floor)

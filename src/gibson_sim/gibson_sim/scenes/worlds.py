@@ -16,7 +16,8 @@ from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, yaml_texts
 from gibson_sim.resources import find_scene, known_scenes
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.load import DESCRIPTION, description_file, finish, is_sdf_world, read_scene, reader_and_root
+from gibson_sim.scenes.load import description_file, finish, is_sdf_world, read_scene, reader_and_root
+from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.scenes.sdf.elements import parse_sdf
 from gibson_sim.scenes.sdf.world import place_world
 from gibson_sim.scenes.sources import MAX_BYTES, TEXT_FOLDER, Search, check_file, path_of, walk, without_text_folder

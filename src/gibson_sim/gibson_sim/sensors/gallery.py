@@ -17,6 +17,7 @@ from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pos
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.randomise import Rules, randomise
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight
+from gibson_sim.sensors.depth_colours import colourise_depth
 from gibson_sim.sensors.depth_noise import apply_depth_noise
 from gibson_sim.sensors.rendered_lidar import LidarPattern, RenderedLidar, even_elevations
 from gibson_sim.types import NS_PER_S, OUTPUTS, CameraSpec, DepthNoise, Frame, ImageEffects, Output, Pose, SceneState
@@ -186,7 +187,7 @@ def picture_of_output(frame: Frame, output: Output) -> Rgb:
     """Returns a visualisation of an output, (H, W, 3) uint8: labels in distinct colours, directions and positions as RGB."""
     pictures: dict[Output, Callable[[Frame], Rgb]] = {
         "rgb": lambda f: _required(f.rgb).copy(),
-        "depth": lambda f: _depth_picture(_required(f.depth)),
+        "depth": lambda f: np.ascontiguousarray(colourise_depth(_required(f.depth), _FAR_SHOWN_M)[:, :, ::-1]),
         "semantic": lambda f: label_colors(_required(f.semantic)),
         "instance": lambda f: label_colors(_required(f.instance)),
         "normal": lambda f: _direction_picture(_required(f.normal)),
@@ -212,13 +213,6 @@ def label_colors(labels: NDArray[Any]) -> Rgb:
     palette[0] = 0
     picture: Rgb = palette[labels]
     return picture
-
-
-def _depth_picture(depth: NDArray[Any]) -> Rgb:
-    near = np.clip(np.nan_to_num(depth, nan=0.0, posinf=np.inf, neginf=0.0) / _FAR_SHOWN_M, 0.0, 1.0)
-    picture = cv2.cvtColor(cv2.applyColorMap((255.0 * (1.0 - near)).astype(np.uint8), cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
-    picture[~np.isfinite(depth)] = 0
-    return np.asarray(picture, dtype=np.uint8)
 
 
 def _direction_picture(normals: NDArray[Any]) -> Rgb:

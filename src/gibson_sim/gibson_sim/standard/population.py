@@ -1,13 +1,15 @@
-"""The entities of a loaded world: spawns, deletes, reads and moves them."""
+"""The entities of a loaded world: spawns, deletes, reads and moves them; checks poses and velocities from clients, which are untrusted."""
 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import GibsonSimError, StartError
@@ -23,14 +25,20 @@ from gibson_sim.standard.bounds import Bounds, box_bounds
 from gibson_sim.standard.codes import EntityStateCode, Result, SimulationError, SpawnCode, client_message
 from gibson_sim.standard.entities import Entity, EntityInfo, check_info, check_namespace, choose_name, initial_info
 from gibson_sim.standard.filters import EntityFilters, filtered
-from gibson_sim.standard.poses import WORLD_FRAMES, checked_pose, checked_velocity, vec3
-from gibson_sim.types import Pose, Quat, Vec3
+from gibson_sim.standard.requests import resource_name
+from gibson_sim.types import FARTHEST_M, Pose, Quat, Vec3
 
 MAX_ENTITIES = 2000
 """Maximum number of entities in a world: with more, physics is slow even if all bodies are at rest, and messages that list them are large."""
 _LOG = logging.getLogger(__name__)
 _MAX_LISTED = 8
 """Maximum number of entities that an error message lists."""
+_MAX_SPEED = 1e3
+"""Maximum magnitude of each component of a velocity, m/s and rad/s."""
+_NORM_TOLERANCE = 0.01
+"""Maximum deviation of a quaternion's norm from 1: clients round to two digits."""
+_WORLD_FRAMES = ("", "world", "map")
+"""Names of the world frame in requests."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +106,6 @@ class StateChange:
     set_acceleration: bool = True
 
 
-def _resource_name(request: SpawnRequest) -> str:
-    return quoted(request.uri) if request.uri.strip() else "resource_string"
-
-
 def _name_in_file(request: SpawnRequest) -> str:
     return "" if request.name else spawning.spawn_name(request.uri, request.text)
 
@@ -110,7 +114,7 @@ def _load(request: SpawnRequest, name: str, pose: Pose) -> RobotSpec | BodySpec:
     try:
         return spawning.load_spawnable(request.uri, request.text, name=name, pose=pose)
     except spawning.SpawnError as error:
-        raise SimulationError(SpawnCode[error.code.name], client_message(_resource_name(request), error)) from error
+        raise SimulationError(SpawnCode[error.code.name], client_message(resource_name(request.uri), error)) from error
 
 
 def _preload(request: SpawnRequest, pose: Pose, used: Mapping[str, object]) -> PreloadedResource | None:
@@ -173,7 +177,7 @@ class Population:
         """Returns the pose and velocity of an entity, world frame."""
         self.entity(name)
         linear, angular = self._world.body_twist(name)
-        return EntityState(self._world.body_pose(name), vec3(linear), vec3(angular))
+        return EntityState(self._world.body_pose(name), _vec3(linear), _vec3(angular))
 
     def set_state(self, name: str, change: StateChange) -> None:
         """Sets the pose or velocity of an entity immediately.
@@ -191,16 +195,16 @@ class Population:
         frame = self._frame(change.frame_id, EntityStateCode.INVALID_POSE)
         pose = self.state(name).pose
         if change.set_pose:
-            T_frame_entity = matrix_from_pose(checked_pose(change.position, change.quat_xyzw, EntityStateCode.INVALID_POSE))
+            T_frame_entity = matrix_from_pose(_checked_pose(change.position, change.quat_xyzw, EntityStateCode.INVALID_POSE))
             pose = self._placed(frame, T_frame_entity, EntityStateCode.INVALID_POSE)
         linear, angular = None, None
         if change.set_twist:
-            relative_linear = np.array(checked_velocity("linear", change.linear, "m/s"))
-            relative_angular = np.array(checked_velocity("angular", change.angular, "rad/s"))
+            relative_linear = np.array(_checked_velocity("linear", change.linear, "m/s"))
+            relative_angular = np.array(_checked_velocity("angular", change.angular, "rad/s"))
             rotation = matrix_from_quat(frame.pose.quat_xyzw)
             arm = np.array(pose.position) - np.array(frame.pose.position)
-            linear = vec3(rotation @ relative_linear + np.array(frame.linear) + np.cross(frame.angular, arm))
-            angular = vec3(rotation @ relative_angular + np.array(frame.angular))
+            linear = _vec3(rotation @ relative_linear + np.array(frame.linear) + np.cross(frame.angular, arm))
+            angular = _vec3(rotation @ relative_angular + np.array(frame.angular))
         self._change(
             Result.OPERATION_FAILED, lambda: self._world.set_state(name, pose if change.set_pose else None, linear, angular)
         )
@@ -210,7 +214,7 @@ class Population:
         self.entity(name)
         T_root_world = invert(matrix_from_pose(self._world.body_pose(name)))
         low, high = self._world.bounds(name, T_frame_world=T_root_world)
-        return box_bounds(vec3(low), vec3(high))
+        return box_bounds(_vec3(low), _vec3(high))
 
     def file_reader(self, requests: Sequence[SpawnRequest]) -> Callable[[], list[PreloadedResource | None]]:
         """Returns a function that reads the resources of requests for ``spawn``; any thread may call it, since it changes nothing here.
@@ -263,7 +267,7 @@ class Population:
         except StartError as error:
             raise SimulationError(SpawnCode.INVALID_POSE, str(error)) from error
         except GibsonSimError as error:
-            raise SimulationError(Result.OPERATION_FAILED, client_message(_resource_name(request), error)) from error
+            raise SimulationError(Result.OPERATION_FAILED, client_message(resource_name(request.uri), error)) from error
         self._entities[name] = Entity(name, initial_info(spec), namespace, spawned=True)
         if falls and not self._world.is_static(name):
             x, y, _ = pose.position
@@ -273,7 +277,7 @@ class Population:
     def _spawn_pose(self, request: SpawnRequest) -> Pose:
         return self._placed(
             self._frame(request.frame_id, SpawnCode.INVALID_POSE),
-            matrix_from_pose(checked_pose(request.position, request.quat_xyzw, SpawnCode.INVALID_POSE)),
+            matrix_from_pose(_checked_pose(request.position, request.quat_xyzw, SpawnCode.INVALID_POSE)),
             SpawnCode.INVALID_POSE,
         )
 
@@ -330,7 +334,7 @@ class Population:
 
     def _frame(self, frame_id: str, code: IntEnum) -> EntityState:
         """Returns the pose and velocity of a frame: the world, or the root link of an entity."""
-        if frame_id in WORLD_FRAMES:
+        if frame_id in _WORLD_FRAMES:
             return EntityState(Pose())
         if frame_id in self._entities:
             return self.state(frame_id)
@@ -342,7 +346,7 @@ class Population:
     def _placed(frame: EntityState, T_frame_entity: Mat4, code: IntEnum) -> Pose:
         """Returns T_world_entity, checked like a pose from a client."""
         pose = pose_from_matrix(matrix_from_pose(frame.pose) @ T_frame_entity)
-        return checked_pose(pose.position, pose.quat_xyzw, code)
+        return _checked_pose(pose.position, pose.quat_xyzw, code)
 
     @staticmethod
     def _change(code: IntEnum, change: Callable[[], None]) -> None:
@@ -358,3 +362,45 @@ class Population:
         names = list(self._entities)
         more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
         return f"there are: {', '.join(names[:_MAX_LISTED]) or 'none'}{more}"
+
+
+def _checked_pose(position: Vec3, quat_xyzw: Quat, code: IntEnum) -> Pose:
+    """Returns the pose with a normalised quaternion; four zeros, the default of some clients' messages, mean no rotation.
+
+    Args:
+        position: x, y, z, m.
+        quat_xyzw: orientation.
+        code: result code of an invalid pose.
+
+    Raises:
+        SimulationError: with ``code``.
+    """
+    if not all(map(math.isfinite, (*position, *quat_xyzw))):
+        raise SimulationError(code, f"the pose holds a NaN or an infinity: position {position}, orientation {quat_xyzw}")
+    if any(abs(c) > FARTHEST_M for c in position):
+        raise SimulationError(
+            code, f"position {position} is too far away; each coordinate must be -{FARTHEST_M:g} to {FARTHEST_M:g} m"
+        )
+    norm = math.hypot(*quat_xyzw)
+    if norm == 0.0:
+        return Pose(position)
+    if abs(norm - 1.0) > _NORM_TOLERANCE:
+        raise SimulationError(code, f"orientation {quat_xyzw} (x, y, z, w) has length {norm:g}, must be 1: normalise it")
+    x, y, z, w = (c / norm for c in quat_xyzw)
+    return Pose(position, (x, y, z, w))
+
+
+def _checked_velocity(kind: str, velocity: Vec3, unit: str) -> Vec3:
+    """Returns the velocity if it is valid, or raises SimulationError(OPERATION_FAILED); ``kind`` and ``unit`` are for the message."""
+    if not all(math.isfinite(c) and abs(c) <= _MAX_SPEED for c in velocity):
+        raise SimulationError(
+            Result.OPERATION_FAILED,
+            f"{kind} velocity is {velocity}, each component must be -{_MAX_SPEED:g} to {_MAX_SPEED:g} {unit}",
+        )
+    return velocity
+
+
+def _vec3(values: ArrayLike) -> Vec3:
+    """Returns an array (3,) as a tuple of floats."""
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return (x, y, z)

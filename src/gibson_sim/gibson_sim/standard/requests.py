@@ -1,9 +1,11 @@
-"""Value types of requests that concern the whole simulation: worlds and resets."""
+"""Value types of requests that concern the whole simulation: worlds and resets; names of resources in messages."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntFlag
+
+from gibson_sim.quoting import quoted
 
 EPOCH_REQUESTS = ("reset_simulation", "set_simulation_state", "load_world")
 """Services that may begin a new epoch, in which steps are counted from 0."""
@@ -60,3 +62,8 @@ class LastReset:
     """Bits of ``ResetScope``."""
     rewound: bool = False
     """Whether time restarted at 0."""
+
+
+def resource_name(uri: str) -> str:
+    """Returns the name in messages of the resource of a request; ``uri``: that of the request, empty if it holds the resource as text."""
+    return quoted(uri) if uri.strip() else "resource_string"

@@ -15,38 +15,36 @@ Time passes only in the node's loop::
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.maps.named_poses import NamedPose, named_poses
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
+from gibson_sim.robots.joints.grasping import GraspMode, GraspSettings
+from gibson_sim.robots.joints.servo import ServoSettings
 from gibson_sim.scenes import worlds
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.standard.bounds import Bounds, box_bounds
 from gibson_sim.standard.catalogue import description_of
 from gibson_sim.standard.codes import LoadWorldCode, Result, SimulationError, StateCode, WorldCode, client_message
 from gibson_sim.standard.filters import TagsFilter
-from gibson_sim.standard.manipulation import grasp_settings, servo_settings
 from gibson_sim.standard.population import Population
-from gibson_sim.standard.requests import LastReset, LoadRequest, ResetScope, WorldInfo
+from gibson_sim.standard.requests import LastReset, LoadRequest, ResetScope, WorldInfo, resource_name
 from gibson_sim.standard.states import HAS_WORLD, SimulationState, check_transition
 from gibson_sim.standard.stepping import StepQueue, StepRequest
 
 logger = logging.getLogger(__name__)
-
 STEPS_AT_ONCE = 60
 """Maximum number of requested steps that the loop executes before it handles messages again."""
 EVERYTHING = 255
 """Scope of a reset of everything."""
 _ALL = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
-
-
-def _resource_name(request: LoadRequest) -> str:
-    return quoted(request.uri) if request.uri.strip() else "resource_string"
 
 
 class Simulator:
@@ -258,9 +256,11 @@ class Simulator:
                 ignore_missing=request.ignore_missing,
             )
         except worlds.WorldError as error:
-            raise SimulationError(LoadWorldCode[error.code.name], client_message(_resource_name(request), error)) from error
+            raise SimulationError(LoadWorldCode[error.code.name], client_message(resource_name(request.uri), error)) from error
         except GibsonSimError as error:
-            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, client_message(_resource_name(request), error)) from error
+            raise SimulationError(
+                LoadWorldCode.RESOURCE_PARSE_ERROR, client_message(resource_name(request.uri), error)
+            ) from error
 
     def finish_load(self, request: LoadRequest, scene: SceneSpec) -> WorldInfo:
         """Creates the world of a scene that ``read_world`` returned; the state is then STOPPED.
@@ -274,7 +274,9 @@ class Simulator:
         try:
             self._enter(scene, uri=request.uri, text="" if request.uri.strip() else request.text)
         except GibsonSimError as error:
-            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, client_message(_resource_name(request), error)) from error
+            raise SimulationError(
+                LoadWorldCode.RESOURCE_PARSE_ERROR, client_message(resource_name(request.uri), error)
+            ) from error
         self._state = SimulationState.STOPPED
         return self.current_world()
 
@@ -335,8 +337,8 @@ class Simulator:
             step_hz=self._config.step_hz,
             cmd_vel_timeout=self._config.cmd_vel_timeout,
             seed=self._config.seed,
-            grasping=grasp_settings(self._config),
-            servo=servo_settings(self._config),
+            grasping=_grasp_settings(self._config),
+            servo=_servo_settings(self._config),
         )
         if self._config.reset_time == "monotonic":
             world.set_step_count(self._steps_before)
@@ -365,3 +367,19 @@ class Simulator:
         self._epoch_start = 0 if self._world is None else self._world.step_count
         self.epoch += 1
         self.last_reset = reset
+
+
+def _grasp_settings(config: PhysicsConfig) -> GraspSettings:
+    """Returns the grasp settings of all grippers; distance in m, forces in N, angle converted to rad."""
+    return GraspSettings(
+        cast(GraspMode, config.grasp_mode),  # ``PhysicsConfig`` has checked it
+        config.grasp_distance,
+        config.grasp_force,
+        config.grasp_release_force,
+        math.radians(config.grasp_release_angle_deg),
+    )
+
+
+def _servo_settings(config: PhysicsConfig) -> ServoSettings:
+    """Returns the settings of the Cartesian servo."""
+    return ServoSettings(config.servo_max_linear, config.servo_max_angular, config.servo_timeout)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
-from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.robots.load import load_robot
 from gibson_sim.tasks.controls import Controls
 from gibson_sim.tasks.distance import DrivingDistance
 from gibson_sim.tasks.episode import item_body

@@ -16,9 +16,9 @@ from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.maps.free_space import FreeSpace
 from gibson_sim.maps.placement import robot_floor_map
 from gibson_sim.maps.rooms import Door, find_rooms
+from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.tasks.episode import Item, item_body
 from gibson_sim.types import Pose

@@ -362,7 +362,7 @@ class HeadlessSimulation:
 
         from gibson_sim.maps.floor_map import FloorMap
         from gibson_sim.maps.paths import PathPlanner
-        from gibson_sim.scenes.robot_files import load_robot
+        from gibson_sim.robots.load import load_robot
 
         grid = self._running_client.floor()
         data = np.asarray(grid.data, dtype=np.int8).reshape(grid.info.height, grid.info.width)

@@ -19,7 +19,6 @@ from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim_bench import timing
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, background_node, node_result, process
 from gibson_sim_bench.protocol import write_changed_robot
-from gibson_sim_bench.reports.ros import report_text
 from gibson_sim_bench.ros import (
     PARTS,
     ClockCost,
@@ -31,6 +30,7 @@ from gibson_sim_bench.ros import (
     Size,
     Transport,
     pipeline_of,
+    report_text,
     spread,
 )
 

@@ -25,8 +25,7 @@ def add_parser(kinds: Any) -> None:
 @quiet()
 def run(args: argparse.Namespace) -> int:
     """Prints the report, and writes the JSON file if one is named."""
-    from gibson_sim_bench.reports.scaling import report_text
-    from gibson_sim_bench.scaling import kinds_of, measure
+    from gibson_sim_bench.scaling import kinds_of, measure, report_text
 
     report = measure(kinds_of(args.only), quick=args.quick, progress=print_progress)
     print(report_text(report, markdown=args.markdown))

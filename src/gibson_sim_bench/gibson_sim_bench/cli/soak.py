@@ -46,8 +46,7 @@ def add_parser(kinds: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prints the report, writes the JSON file if one is named; returns 1 if a value grew or drifted above its limit."""
     from gibson_sim_bench import timing
-    from gibson_sim_bench.reports.soak import report_text
-    from gibson_sim_bench.soak import Samples, SoakReport, environment_steps
+    from gibson_sim_bench.soak import Samples, SoakReport, environment_steps, report_text
 
     steps, seconds = (2_000, 60.0) if args.quick else (args.steps, args.seconds)
     if seconds > 0:

@@ -15,10 +15,10 @@ from gibson_sim_bench.reports import plots
 from gibson_sim_bench.reports.compare import read_report
 from gibson_sim_bench.reports.paper import SENSOR_ONLY
 from gibson_sim_bench.reports.render import report_text as render_text
-from gibson_sim_bench.reports.scaling import report_text as scaling_text
-from gibson_sim_bench.reports.soak import report_text as soak_text
 from gibson_sim_bench.reports.table1 import report_text as table1_text
 from gibson_sim_bench.rows import ENOUGH, FREE, HOST, IN_PROCESS, LOCKSTEP, Table1, Table1Row, table_of
+from gibson_sim_bench.scaling import report_text as scaling_text
+from gibson_sim_bench.soak import report_text as soak_text
 
 _TITLES = {
     "table1": "The paper's table",

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
@@ -19,8 +18,8 @@ from gibson_sim.picture_files import write_picture
 from gibson_sim.render.culling.closed_surfaces import find_closed_surfaces
 from gibson_sim.render.lod.clusters import weld
 from gibson_sim.scenes.scene_meshes import scene_roots
+from gibson_sim.scenes.scene_yaml import write_scene_yaml
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.writing import write_file
 from gibson_sim_tools.generator.gltf import MeshBuilder, MeshMaterial, write_glb
 from gibson_sim_tools.generator.rooms import wobble
 
@@ -63,7 +62,7 @@ def make_scan_like_mesh(scene: SceneSpec, triangles: int, folder: Path) -> int:
         "floors": list(scene.floors),
         "objects": [{"name": "scan", "mesh": "mesh.glb", "semantic_class": "building"}],
     }
-    write_file(folder / "scene.yaml", yaml.safe_dump(spec, sort_keys=False))
+    write_scene_yaml(folder, spec, width=None)
     return len(faces)
 
 

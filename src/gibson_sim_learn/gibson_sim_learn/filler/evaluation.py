@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.filling.fillers import open_filler
+from gibson_sim.filling.holes import is_hole
 from gibson_sim.filling.inputs import filled_colour
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.maps.paths import PathPlanner
 from gibson_sim.types import Frame
-from gibson_sim_learn.filler.pairs import Pairs, ScannedScene, camera_at, depth_of, drawn_pairs, is_hole, normals_of
+from gibson_sim_learn.filler.pairs import Pairs, ScannedScene, camera_at, depth_of, drawn_pairs, normals_of
 from gibson_sim_learn.filler.scoring import Score, Scoring, warped
 from gibson_sim_learn.path_following.data import ROBOT_RADIUS, DataSettings, draw_path, shard_rng
 

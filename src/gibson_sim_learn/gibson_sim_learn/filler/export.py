@@ -17,15 +17,15 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from gibson_sim.durations import duration_text
 from gibson_sim.filling.inputs import CHANNELS
 from gibson_sim.filling.network import VERSION
+from gibson_sim.quoting import duration_text
 from gibson_sim.writing import write_file
-from gibson_sim_learn.filler.network import FillerNetwork, multiplications, parameter_count
+from gibson_sim_learn.filler.network import FillerNetwork, multiplications
 from gibson_sim_learn.filler.settings import PairsSettings, TrainingSettings, options_of
 from gibson_sim_learn.filler.training import FillerTraining
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
-from gibson_sim_learn.training import intervals_text
+from gibson_sim_learn.training import intervals_text, parameter_count
 
 _OPSET = 17
 

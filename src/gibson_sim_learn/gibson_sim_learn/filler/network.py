@@ -50,11 +50,6 @@ class FillerNetwork(nn.Module):
         return image
 
 
-def parameter_count(network: nn.Module) -> int:
-    """Returns the number of weights."""
-    return sum(parameter.numel() for parameter in network.parameters())
-
-
 def multiplications(network: nn.Module, side: int) -> int:
     """Returns the number of multiplications for a square image of ``side`` pixels."""
     total = 0

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.digests import digest_of
 from gibson_sim.errors import ConfigError, GibsonSimError
-from gibson_sim.filling.holes import BACK_FACE, NOTHING
+from gibson_sim.filling.holes import BACK_FACE, is_hole
 from gibson_sim.filling.inputs import filled_colour
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy, quat_from_rpy
 from gibson_sim.maps.bodies import link_transforms
@@ -315,11 +315,6 @@ def depth_of(depth_mm: U16) -> F32:
 def normals_of(normals: I8) -> F32:
     """Returns an image of ``Pairs.normals`` as unit vectors, float32."""
     return np.asarray(normals.astype(np.float32) / np.float32(_NORMAL_STEPS))
-
-
-def is_hole(hole: U8) -> NDArray[np.bool_]:
-    """Returns a mask of the pixels that a filler fills."""
-    return np.asarray((hole == NOTHING) | (hole == BACK_FACE))
 
 
 def _digest_text(pairs: Pairs) -> bytes:

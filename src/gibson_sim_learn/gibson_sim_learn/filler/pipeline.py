@@ -1,19 +1,28 @@
 """The three steps of the filler, in one folder: pairs, training, evaluation. Training needs PyTorch and onnx.
 
 The folder holds ``scans/`` (a folder for each scene), ``pairs/`` (shards) and ``training/`` (checkpoint, curve, network, card).
+Scans are simulated: the commands of ``gibson_sim_tools`` scan, fuse and texture the scenes, stage by stage. Each command runs in its own
+process, since this package does not import ``gibson_sim_tools``. A finished stage leaves its command line in a file ``<stage>.done`` and is not
+run again; a folder with stages of other settings is rejected.
 """
 
 from __future__ import annotations
 
+import shlex
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.picture_files import write_picture
 from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_file
+from gibson_sim.writing import write_file
 from gibson_sim_learn.filler.evaluation import (
     Flicker,
     as_json,
@@ -37,7 +46,6 @@ from gibson_sim_learn.filler.pairs import (
     store_settings,
     stored_settings,
 )
-from gibson_sim_learn.filler.scans import TEXTURED, make_scan
 from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
 from gibson_sim_learn.training_folder import locked
@@ -48,6 +56,13 @@ MODEL, CARD = "filler.onnx", "filler.md"
 SCENES = (*TRAINING, *VALIDATION, *HELD_OUT)
 _JUDGED_SHARDS = 2
 """Number of shards of each validation and held-out scene."""
+TEXTURED = "textured"
+"""Folder of a scan's scene, in the folder of the scan."""
+_VOXEL = 0.02
+"""Edge of a voxel, metres."""
+_SIZE = (320, 240)
+"""Width and height of the scanner's images, pixels."""
+_MAX_BYTES = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,3 +211,71 @@ def _shards(folder: Path, scenes: Sequence[str]) -> list[str]:
 
 def _count(scene: str, settings: PairsSettings) -> int:
     return settings.shards if scene in TRAINING else _JUDGED_SHARDS
+
+
+def stages(scene: str, folder: Path, settings: PairsSettings) -> dict[str, tuple[list[str], Path]]:
+    """Returns, in order, name of a stage -> arguments of ``gibson-sim`` and the output of the stage.
+
+    Args:
+        scene: name of the scene.
+        folder: folder of its scan.
+        settings: settings of the scan.
+    """
+    scan, mesh, textured = folder / "scan", folder / "mesh.ply", folder / TEXTURED
+    width, height = _SIZE
+    options: dict[str, list[object]] = {
+        "scan": [scene, "--preset", "kinect", "--frames", settings.frames, "--width", width, "--height", height, "--seed", settings.seed + 1],
+        "fuse": [scan, "--voxel", _VOXEL, "--triangles", settings.triangles],
+        "texture": [scan, mesh],
+    }  # fmt: skip
+    outputs = {"scan": scan, "fuse": mesh, "texture": textured}
+    return {
+        stage: (["scene", stage, *(str(word) for word in given), "--output", str(outputs[stage])], outputs[stage])
+        for stage, given in options.items()
+    }
+
+
+def make_scan(scene: str, folder: Path, settings: PairsSettings, run: Callable[[Sequence[str]], None] | None = None) -> Path:
+    """Runs the missing stages of a scan; returns the folder of the scan's scene.
+
+    Args:
+        scene: name of the scene.
+        folder: folder of its scan.
+        settings: settings of the scan.
+        run: runs ``gibson-sim`` with arguments; None = in a new process.
+
+    Raises:
+        ConfigError: the folder holds a scan with other settings.
+        GibsonSimError: a stage failed.
+    """
+    run = _run if run is None else run
+    # Paths relative to the folder: it may be moved, or named in another way.
+    lines = {stage: shlex.join(arguments) + "\n" for stage, (arguments, _) in stages(scene, Path(), settings).items()}
+    for stage, (arguments, output) in stages(scene, folder, settings).items():
+        done, line = folder / f"{stage}.done", lines[stage]
+        if done.is_file():
+            if read_file(done, _MAX_BYTES).decode("utf-8", "replace") != line:
+                raise ConfigError(f"{done}: that stage was run with other settings; give another --folder, or delete {folder}")
+            if stage != "texture" or output.is_dir():  # scan and mesh may be deleted after texturing
+                continue
+        # An interrupted scan resumes. The other stages write their output at the end, so any existing output is left over.
+        if stage == "texture":
+            shutil.rmtree(output, ignore_errors=True)
+        elif stage == "fuse":
+            output.unlink(missing_ok=True)
+        run(arguments)
+        write_file(done, line)
+    return folder / TEXTURED
+
+
+def _run(arguments: Sequence[str]) -> None:
+    """Runs ``gibson-sim``; its errors are printed on the terminal.
+
+    Raises:
+        GibsonSimError: the command failed.
+    """
+    found = subprocess.run([sys.executable, "-m", "gibson_sim.cli.main", *arguments], stdout=subprocess.DEVNULL, check=False)
+    if found.returncode:
+        raise GibsonSimError(
+            f"`gibson-sim {shlex.join(arguments)}` failed with exit code {found.returncode}; its message is above"
+        )

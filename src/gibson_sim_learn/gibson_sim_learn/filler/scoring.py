@@ -13,18 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.sensors.image_similarity import LUMA, psnr, ssim_map
+
 Bools = NDArray[np.bool_]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
-_SSIM_PX = 1.5
-"""Standard deviation of the Gaussian window of SSIM, pixels (Wang et al., IEEE TIP 2004)."""
-_C1, _C2 = (0.01 * 255.0) ** 2, (0.03 * 255.0) ** 2
 _GMSD_C = 170.0
 """Constant of GMSD for levels from 0 to 255."""
-_LUMA = np.array([0.299, 0.587, 0.114])
-_MOST_PSNR = 60.0
 _NEARBY = 0.05
 """Relative depth difference up to which two pixels show the same surface."""
 
@@ -69,22 +66,10 @@ class Scoring:
     def score(self) -> Score:
         """Returns the score of all images so far, at least one; NaN for metrics without any pixel."""
         (hole_psnr, hole_ssim), (seen_psnr, seen_ssim) = (
-            (_psnr(error / pixels), alike / pixels) if pixels else (math.nan, math.nan)
+            (psnr(error / pixels), alike / pixels) if pixels else (math.nan, math.nan)
             for pixels, error, alike in self._sums.tolist()
         )
         return Score(hole_psnr, seen_psnr, hole_ssim, seen_ssim, float(np.mean(self._gmsd)))
-
-
-def ssim_map(a: U8, b: U8) -> F64:
-    """Returns the structural similarity of the luma of two images at each pixel, (H, W), -1 to 1."""
-    x, y = (image @ _LUMA for image in (a, b))
-
-    def mean(values: F64) -> F64:
-        return np.asarray(cv2.GaussianBlur(values, (0, 0), _SSIM_PX, borderType=cv2.BORDER_REFLECT))
-
-    mx, my = mean(x), mean(y)
-    xx, yy, xy = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
-    return np.asarray((2 * mx * my + _C1) * (2 * xy + _C2) / ((mx * mx + my * my + _C1) * (xx + yy + _C2)))
 
 
 def gmsd(a: U8, b: U8) -> float:
@@ -123,11 +108,7 @@ def warped(image: U8, T_world_camera: F64, matrix: F64, depth: F32, other_T: F64
 
 def _gradients(image: U8) -> F64:
     """Returns the gradient magnitudes of the image's luma at half resolution."""
-    luma = cv2.resize(image @ _LUMA, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    luma = cv2.resize(image @ LUMA, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
     across = np.repeat([[1.0, 0.0, -1.0]], 3, axis=0) / 3.0
     x, y = (cv2.filter2D(luma, cv2.CV_64F, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in (across, across.T))
     return np.asarray(np.sqrt(x * x + y * y))
-
-
-def _psnr(error: float) -> float:
-    return min(_MOST_PSNR, 10.0 * math.log10(255.0**2 / max(error, 1e-9)))

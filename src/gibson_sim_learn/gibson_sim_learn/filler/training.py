@@ -16,9 +16,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.filling.holes import is_hole
 from gibson_sim.filling.inputs import packed
 from gibson_sim_learn.filler.network import FillerNetwork
-from gibson_sim_learn.filler.pairs import Pairs, depth_of, is_hole, normals_of
+from gibson_sim_learn.filler.pairs import Pairs, depth_of, normals_of
 from gibson_sim_learn.filler.scoring import Score, Scoring
 from gibson_sim_learn.filler.settings import TrainingSettings
 from gibson_sim_learn.training import CurvePoint, OptimiserSettings, Progress, Training

@@ -16,13 +16,14 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from gibson_sim.durations import duration_text
+from gibson_sim.quoting import duration_text
 from gibson_sim.writing import write_file
-from gibson_sim_learn.goggles.network import SMALL, GogglesNetwork, parameter_count
+from gibson_sim_learn.goggles.network import SMALL, GogglesNetwork
 from gibson_sim_learn.goggles.pairs import TRAINING_DOMAINS
 from gibson_sim_learn.goggles.settings import GogglesSettings, as_dict
 from gibson_sim_learn.goggles.training import GogglesPoint
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
+from gibson_sim_learn.training import parameter_count
 
 _OPSET = 17
 

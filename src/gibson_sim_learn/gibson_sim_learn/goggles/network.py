@@ -81,11 +81,6 @@ class GogglesNetwork(nn.Module):
         return _MAX_LOG_GAIN * torch.tanh(self.maps(near + wide))
 
 
-def parameter_count(network: nn.Module) -> int:
-    """Returns the number of weights."""
-    return sum(parameter.numel() for parameter in network.parameters())
-
-
 class _Residual(nn.Module):
     """A residual block of two convolutions."""
 

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 
+from gibson_sim.sensors.image_similarity import psnr, ssim_map
 from gibson_sim_learn.goggles.pairs import U8, Pairs
-
-_SSIM_PX = 1.5
-"""Standard deviation of the Gaussian window of SSIM, pixels (Wang et al., IEEE TIP 2004)."""
-_C1, _C2 = (0.01 * 255.0) ** 2, (0.03 * 255.0) ** 2
-_LUMA = np.array([0.299, 0.587, 0.114])
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +38,8 @@ def score(pairs: Sequence[Pairs], adapt: Callable[[U8], U8], every: int = 1) -> 
         for k in range(0, len(part.clean), every):
             for seen in part.seen[k]:
                 image = adapt(np.ascontiguousarray(seen))
-                found.append((psnr(image, part.clean[k]), ssim(image, part.clean[k])))
+                error = ((image.astype(np.float64) - part.clean[k]) ** 2).mean()
+                found.append((psnr(float(error)), ssim_map(image, part.clean[k]).mean()))
     means = np.mean(found, axis=0)
     return Score(float(means[0]), float(means[1]), len(found))
 
@@ -58,21 +52,3 @@ def mean_of(scores: Sequence[Score]) -> Score:
         return float(np.average(values, weights=images))
 
     return Score(mean([one.psnr for one in scores]), mean([one.ssim for one in scores]), sum(images))
-
-
-def psnr(a: U8, b: U8) -> float:
-    """Returns the peak signal-to-noise ratio of two images, dB; at most 60, so that the mean stays finite with equal images."""
-    error = float(((a.astype(np.float64) - b) ** 2).mean())
-    return min(60.0, 10.0 * math.log10(255.0**2 / max(error, 1e-9)))
-
-
-def ssim(a: U8, b: U8) -> float:
-    """Returns the mean structural similarity of the luma of two images, -1 to 1."""
-    x, y = (image @ _LUMA for image in (a, b))
-
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(ndimage.gaussian_filter(values, _SSIM_PX, mode="reflect"))
-
-    mx, my = mean(x), mean(y)
-    xx, yy, xy = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
-    return float(((2 * mx * my + _C1) * (2 * xy + _C2) / ((mx * mx + my * my + _C1) * (xx + yy + _C2))).mean())

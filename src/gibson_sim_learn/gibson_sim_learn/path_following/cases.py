@@ -15,8 +15,8 @@ from gibson_sim.maps.free_poses import random_free_poses
 from gibson_sim.maps.paths import PathPlanner
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.quoting import quoted
+from gibson_sim.robots.load import load_robot
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.tasks.ground import Ground
 from gibson_sim_learn.path_following.oracle import resampled
 

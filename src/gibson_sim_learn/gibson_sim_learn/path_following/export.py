@@ -19,16 +19,17 @@ import torch
 from torch import Tensor, nn
 
 from gibson_path_following.localisation.pose_filter import OffsetCalibration
-from gibson_sim.durations import duration_text
+from gibson_sim.quoting import duration_text
 from gibson_sim.writing import write_file
 from gibson_sim_learn.path_following.data import FREE_EDGES
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.distances.training import DistancePoint
 from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH
-from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
+from gibson_sim_learn.path_following.network import PathNetwork
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict, load_settings
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
 from gibson_sim_learn.path_following.training import PathPoint
+from gibson_sim_learn.training import parameter_count
 
 _OPSET = 17
 

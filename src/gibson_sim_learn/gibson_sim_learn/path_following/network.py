@@ -129,11 +129,6 @@ def normalised(images: Tensor) -> Tensor:
     return (x - mean) / (deviation + 4.0)
 
 
-def parameter_count(network: nn.Module) -> int:
-    """Returns the number of weights."""
-    return sum(parameter.numel() for parameter in network.parameters())
-
-
 class _Residual(nn.Module):
     """Residual connection around some layers."""
 

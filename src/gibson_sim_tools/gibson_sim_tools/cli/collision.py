@@ -29,7 +29,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     # Lazy imports: the other sub-commands do not need them.
     from gibson_sim.formats.load_mesh import load_mesh
     from gibson_sim.physics.convex_parts import convex_parts as v_hacd_parts
-    from gibson_sim.scenes.collision.simplified import scan_shapes
+    from gibson_sim.scenes.collision.scan import scan_shapes
     from gibson_sim_tools.convex_parts import convex_parts
 
     vertices, triangles = load_mesh(args.mesh, [args.mesh.resolve().parent]).merged()

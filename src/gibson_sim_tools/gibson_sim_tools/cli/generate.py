@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.parser import ExitCode
-from gibson_sim.durations import duration_text
 from gibson_sim.errors import ConfigError
-from gibson_sim_tools.making.building_file import QUALITIES
+from gibson_sim.quoting import duration_text
+from gibson_sim_tools.making.building import QUALITIES
 from gibson_sim_tools.making.planning.planner import KINDS
 
 _LISTED_QUALITIES = tuple(name for name in QUALITIES if name != "smallest")
@@ -83,8 +83,10 @@ def _folder(args: argparse.Namespace, name: str) -> Path:
     Raises:
         ConfigError: it exists and is not a scene.
     """
+    from gibson_sim.scenes.scene_yaml import DESCRIPTION
+
     folder = (args.output or Path("scenes")) / name if args.shipped else args.output or Path(name)
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / "scene.yaml").is_file())):
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / DESCRIPTION).is_file())):
         raise ConfigError(f"--output {folder}: already exists and is not a scene; give another folder")
     return folder
 

@@ -16,7 +16,7 @@ from gibson_sim_tools.cli.photographs import PHOTOGRAPH_OPTIONS, add_photograph_
 if TYPE_CHECKING:
     from gibson_sim.formats.mesh import UpAxis
     from gibson_sim.scenes.spec import SceneSpec
-    from gibson_sim_tools.importing.run import ImportOptions
+    from gibson_sim_tools.importing.importers import ImportOptions
 
 
 def add_parser(subparsers: Any) -> None:
@@ -62,7 +62,7 @@ def import_options(args: argparse.Namespace) -> ImportOptions:
         ConfigError: the unit or the axis is invalid.
     """
     from gibson_sim_tools.importing.checks.gravity import direction
-    from gibson_sim_tools.importing.run import ImportOptions
+    from gibson_sim_tools.importing.importers import ImportOptions
 
     axis: UpAxis | None = args.up_axis if args.up_axis in ("x", "y", "z") else None
     up = direction(args.up_axis, "--up-axis") if args.up_axis is not None and axis is None else None
@@ -93,10 +93,9 @@ def unit_m(text: str | None) -> float | None:
 @quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     # Lazy imports: the other sub-commands do not read meshes.
-    from gibson_sim_tools.from_photographs.archive import is_photograph_archive
-    from gibson_sim_tools.from_photographs.inputs import is_photograph_folder
+    from gibson_sim_tools.from_photographs.inputs import is_photograph_archive, is_photograph_folder
     from gibson_sim_tools.importing.checks.facts import scene_facts
-    from gibson_sim_tools.importing.run import import_scene
+    from gibson_sim_tools.importing.importers import import_scene
     from gibson_sim_tools.photographs.layouts import check_no_bag, unposed_text
 
     if is_photograph_folder(args.source) or is_photograph_archive(args.source):

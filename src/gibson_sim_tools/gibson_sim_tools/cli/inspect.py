@@ -131,10 +131,11 @@ def _align_splats(name: str, as_json: bool) -> None:
     """Registers the splats of a scene to its mesh and writes their pose and scale into its scene.yaml."""
     import numpy as np
 
-    from gibson_sim.scenes.load import DESCRIPTION, load_scene
+    from gibson_sim.scenes.load import load_scene
+    from gibson_sim.scenes.scene_yaml import DESCRIPTION
     from gibson_sim_tools.importing.checks.facts import scene_geometry
     from gibson_sim_tools.importing.checks.splat_alignment import align_splats
-    from gibson_sim_tools.importing.checks.splats_in_yaml import write_visual
+    from gibson_sim_tools.importing.checks.splats import write_visual
 
     scene = load_scene(name)
     if scene.splats is None:

@@ -33,8 +33,8 @@ def add_parser(subparsers: Any) -> None:
 
 def _run(args: argparse.Namespace) -> ExitCode:
     # Lazy import: the other sub-commands do not need it.
+    from gibson_sim_tools.making.objects.catalogue import objects_table
     from gibson_sim_tools.making.objects.program import default_blender_python, make_objects, select_objects
-    from gibson_sim_tools.making.objects.table import objects_table
 
     models, output = select_objects(args.only), Path(args.output)
     if args.table:

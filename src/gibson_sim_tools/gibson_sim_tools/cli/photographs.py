@@ -61,9 +61,8 @@ def add_photograph_options(parser: argparse.ArgumentParser) -> None:
 def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCode:
     """Imports a folder of photographs as a scene, or resumes an interrupted import. ``scale``: metres per unit of poses and mesh."""
     # Lazy import: the other sub-commands do not need it.
-    from gibson_sim_tools.from_photographs.archive import unpack_photographs
     from gibson_sim_tools.from_photographs.importing import INTERMEDIATES, SHEET, PhotographImport
-    from gibson_sim_tools.from_photographs.inputs import find_inputs
+    from gibson_sim_tools.from_photographs.inputs import find_inputs, unpack_photographs
     from gibson_sim_tools.from_photographs.stages import StagedJob
     from gibson_sim_tools.importing.checks.gravity import direction
 

@@ -12,13 +12,13 @@ from typing import Any
 
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.errors import ConfigError, GibsonSimError, RenderError, RobotError
+from gibson_sim.formats.load_mesh import mesh_points
 from gibson_sim.picture_files import write_picture
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.load import derive_file, find_robot_file
+from gibson_sim.robots.load import derive_file, find_robot_file, load_robot
 from gibson_sim.robots.loading.derive import DESCRIPTION_SUFFIXES
 from gibson_sim.robots.loading.guess import Guess
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.robot_files import load_robot, mesh_points
 from gibson_sim.writing import write_file
 from gibson_sim_tools.robots.robot_file import robot_file_text
 
@@ -85,7 +85,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     elif args.xacro_arg:
         raise ConfigError("--xacro-arg goes with --new: a robot.yaml keeps the arguments of a xacro")
     elif is_description:
-        guesses = derive_file(path, mesh_points()).guesses
+        guesses = derive_file(path).guesses
         _print_guesses(guesses)
     with _silenced(_REPORTED_LOGGERS if args.new or args.trial else ()):
         return _check(args, guesses)
@@ -139,7 +139,7 @@ def _print_robot(robot: RobotSpec) -> None:
 
 def _draw(robot: RobotSpec, args: argparse.Namespace, *, needed: bool) -> None:
     """Renders the robot to a file; without a rendering device, that is an error only if the picture is ``needed``."""
-    from gibson_sim_tools.making.robots.picture import robot_picture
+    from gibson_sim_tools.robots.picture import robot_picture
 
     try:
         picture = robot_picture(robot, args.pose, width=args.size, height=args.size, yaw_deg=args.yaw_deg)
@@ -169,7 +169,7 @@ def _write(description: Path, output: Path, arguments: dict[str, str]) -> Sequen
         raise ConfigError(f"--output is {quoted(str(output))}, must end in .yaml")
     if output.exists():
         raise ConfigError(f"{output}: already exists; name another file with --output, or remove it")
-    derived = derive_file(description, mesh_points(), arguments, needs_drive=False)
+    derived = derive_file(description, arguments, needs_drive=False)
     is_below_output = description.is_relative_to(output.parent.absolute())
     urdf = os.path.relpath(description, output.parent.absolute()) if is_below_output else str(description)
     write_file(output, robot_file_text(urdf, arguments, derived))

@@ -131,7 +131,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     from gibson_sim_tools.scanning.fusion import distances_to_mesh, fuse_scan, open3d, selected_frames
     from gibson_sim_tools.scanning.layouts import open_posed_rgbd
     from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
-    from gibson_sim_tools.scanning.robot_views import robot_view_holes
+    from gibson_sim_tools.view_holes import mesh_view_holes
 
     output = Path(args.output)
     if output.suffix.lower() != ".ply":
@@ -171,7 +171,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     print(level_text(T, settings.level))
     if T is not None:
         with progress_bar("measuring holes") as progress:
-            holes = robot_view_holes(mesh, np.eye(4) if settings.level else T, progress)
+            holes = mesh_view_holes(mesh.vertices, mesh.triangles, np.eye(4) if settings.level else T, progress)
         print(
             holes.text() if holes else "no position on the floor is free for a robot, so the holes in its views are not measured"
         )

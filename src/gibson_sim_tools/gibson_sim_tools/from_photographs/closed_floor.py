@@ -14,7 +14,7 @@ from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart
 from gibson_sim.geometry.rasterise import Grid
 from gibson_sim.geometry.transforms import matrix_from_pose
-from gibson_sim.geometry.triangles import unit_normals
+from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim.types import Pose
 
 Bools = NDArray[np.bool_]

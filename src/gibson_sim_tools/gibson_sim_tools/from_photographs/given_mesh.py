@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.formats.mesh import TO_Z_UP
-from gibson_sim.geometry.triangles import unit_normals
+from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, decimated
 from gibson_sim_tools.scanning.posed_rgbd import ScanError

@@ -24,7 +24,8 @@ from gibson_sim.maps.scene_files import write_scene_files
 from gibson_sim.maps.traversability import RobotSize
 from gibson_sim.picture_files import write_picture
 from gibson_sim.reading import read_file
-from gibson_sim.scenes.load import DESCRIPTION, load_scene
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.types import Vec3
 from gibson_sim.writing import cannot_write, size_text, write_file
 from gibson_sim_tools.from_photographs.closed_floor import closed_floor
@@ -36,9 +37,16 @@ from gibson_sim_tools.from_photographs.rerendering import FRONTS, HOLES, RenderP
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
 from gibson_sim_tools.from_photographs.stages import Progress, Stage, StagedJob, StageResult
 from gibson_sim_tools.importing.checks.check import check_path
-from gibson_sim_tools.importing.document import ASSETS, BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
+from gibson_sim_tools.importing.document import (
+    ASSETS,
+    BAKED_LIGHT,
+    MIN_SCAN_TRIANGLES,
+    SIMPLIFIED,
+    ImportedObject,
+    ImportedScene,
+    write_scene,
+)
 from gibson_sim_tools.importing.glb import write_glb
-from gibson_sim_tools.importing.scans import MIN_SCAN_TRIANGLES
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, decimated, level_transform, level_transform_from_up, write_ply
 from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplify_quadric

@@ -1,15 +1,24 @@
-"""Finds the inputs of an import in a folder of photographs: posed photographs, depth images, a mesh."""
+"""Finds the inputs of an import in a folder of photographs: posed photographs, depth images, a mesh.
+
+Scanning apps export such folders as ZIP archives, which are unpacked.
+"""
 
 from __future__ import annotations
 
 import re
+import shutil
+import tempfile
+import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.reading import is_file, is_folder
+from gibson_sim.scenes.scene_yaml import DESCRIPTION
+from gibson_sim.writing import cannot_write
 from gibson_sim_tools.from_photographs.depth_frames import depth_frames
+from gibson_sim_tools.importing.fetching.archives import only_folder, unpack
 from gibson_sim_tools.importing.sources import USD_SUFFIXES
 from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.photographs.phone_layouts import find_record3d_images
@@ -52,6 +61,10 @@ _PREFERRED_MESHES = (
 _FACE_COUNT = re.compile(rb"element\s+face\s+(\d+)")
 _HEADER_BYTES = 64 * 1024
 _MAX_LISTED = 6
+_POSE_FILES = ("transforms.json", "trajectory.log", "groundtruth.txt", "images.txt", "images.bin", "scan.json")
+"""Names of files that hold poses."""
+_EXPORT_FOLDERS = ("keyframes", "rgbd", "EXR_RGBD")
+"""Names of folders of photographs in exports of apps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +92,7 @@ class PhotographInputs:
 
 def is_photograph_folder(folder: Path) -> bool:
     """Returns whether a folder holds photographs, rather than a scene or a mesh with its textures."""
-    if not is_folder(folder) or is_file(folder / "scene.yaml"):
+    if not is_folder(folder) or is_file(folder / DESCRIPTION):
         return False
     if any((folder / sign).exists() for sign in _POSE_ENTRIES) or any(layout.recognises(folder) for layout in LAYOUTS):
         return True
@@ -170,3 +183,36 @@ def _has_triangles(path: Path) -> bool:
     with path.open("rb") as file:
         faces = _FACE_COUNT.search(file.read(_HEADER_BYTES).split(b"end_header")[0])
     return faces is not None and int(faces[1]) > 0
+
+
+def is_photograph_archive(path: Path) -> bool:
+    """Returns whether a file is a ZIP of posed photographs, by the names of its members."""
+    if path.suffix.lower() != ".zip" or not is_file(path):
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [Path(name).parts for name in archive.namelist()]
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
+        return False  # the next reader reports the error
+    return any(parts and (parts[-1] in _POSE_FILES or any(part in _EXPORT_FOLDERS for part in parts[:-1])) for parts in names)
+
+
+def unpack_photographs(archive: Path, folder: Path) -> Path:
+    """Returns the folder of photographs of an archive; unpacks it into ``folder`` unless that exists.
+
+    Raises:
+        SceneError: it is broken, too large, or holds names that leave the folder.
+        WriteError: it cannot be written.
+    """
+    if not folder.is_dir():
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        except OSError as error:
+            raise cannot_write(folder, error) from error
+        try:
+            unpack(archive, temporary / "content")
+            (temporary / "content").rename(folder)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    return only_folder(folder)

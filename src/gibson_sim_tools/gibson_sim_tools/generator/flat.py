@@ -13,9 +13,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 
 from gibson_sim.picture_files import write_picture
+from gibson_sim.scenes.scene_yaml import write_scene_yaml
 from gibson_sim.writing import write_file
 from gibson_sim_tools.generator import furniture, textures
 from gibson_sim_tools.generator.gltf import MeshBuilder, MeshMaterial, write_glb
@@ -199,8 +199,7 @@ def make_flat(folder: Path, seed: int = 1) -> None:
         "starts": [{"name": n, "xy": [x, y], "yaw_deg": yaw} for n, x, y, yaw in STARTS],
         "objects": flat.objects,
     }
-    text = yaml.safe_dump(description, sort_keys=False, default_flow_style=None, width=130)
-    write_file(folder / "scene.yaml", f"# Made by: python -m gibson_sim_tools.generator flat DIR --seed {seed}\n{text}")
+    write_scene_yaml(folder, description, f"Made by: python -m gibson_sim_tools.generator flat DIR --seed {seed}", width=130)
     write_file(folder / "LICENSE", LICENSE)
 
 

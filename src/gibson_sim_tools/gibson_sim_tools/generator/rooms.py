@@ -14,13 +14,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource, area_normals
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4
 from gibson_sim.picture_files import write_picture
-from gibson_sim.writing import write_file
+from gibson_sim.scenes.scene_yaml import write_scene_yaml
 from gibson_sim_tools.generator import rooms_atlas, rooms_furniture
 from gibson_sim_tools.generator.gltf import MeshBuilder, MeshMaterial, write_glb
 from gibson_sim_tools.generator.rooms_atlas import AtlasFace
@@ -433,7 +432,7 @@ def make_rooms(folder: Path, seed: int = 0, triangles: int = 100_000, atlas: int
         "starts": [{"name": "south_west", "xy": [1.8, 1.65], "yaw_deg": 0.0}],
         "objects": objects,
     }
-    write_file(folder / "scene.yaml", yaml.safe_dump(scene, sort_keys=False))
+    write_scene_yaml(folder, scene, width=None)
 
 
 def _write(path: Path, part: MeshPart, texture: str) -> None:

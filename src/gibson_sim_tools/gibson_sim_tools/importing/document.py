@@ -1,4 +1,9 @@
-"""Defines the result of an importer, and writes a scene folder from it."""
+"""Defines the result of an importer, and writes a scene folder from it.
+
+Maps in Gibson's layout are converted to Nav2's: 0.01 m per pixel, origin of the world in the middle, row 0 at the lowest y; 255 = free.
+``left_out.yaml`` lists items of the source that an import could not use; ``check`` repeats them. Scans, with uneven floors and many triangles,
+are distinguished from modelled meshes.
+"""
 
 from __future__ import annotations
 
@@ -6,34 +11,51 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import yaml
 
-from gibson_sim.errors import SceneError
+from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
+from gibson_sim.errors import SceneError, TextError
+from gibson_sim.formats.image_header import MAX_PIXELS, image_size
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.transforms import matrix_from_pose
-from gibson_sim.scenes.load import DESCRIPTION
+from gibson_sim.geometry.triangle_meshes import components, weld
+from gibson_sim.picture_files import write_picture
+from gibson_sim.quoting import clipped
+from gibson_sim.reading import is_file, read_yaml_file
 from gibson_sim.scenes.room_spec import RoomSpec
+from gibson_sim.scenes.scene_yaml import DESCRIPTION, write_scene_yaml
 from gibson_sim.types import Pose, Rgba, Vec3
 from gibson_sim.writing import cannot_write, write_file
 from gibson_sim_tools.importing.glb import write_glb
-from gibson_sim_tools.importing.left_out import LEFT_OUT, left_out_text
 
 ASSETS = "assets"
 """Folder of meshes and textures in a written scene."""
 BAKED_LIGHT: Mapping[str, Any] = {"sun": 0.0, "ambient": 1.0}
 """``light`` of a scan; its textures contain the light of the room."""
-
-
 SIMPLIFIED = "simplified"
 """Collision of a scan: boxes for level floors, and a mesh with fewer triangles."""
+GIBSON_RESOLUTION = 0.01
+"""Resolution of Gibson's maps, metres per pixel."""
+LEFT_OUT = "left_out.yaml"
+"""File beside the scene.yaml."""
+_MAX_LINE_LENGTH = 1000
+"""Length limit of a line, characters."""
+_LEFT_OUT_HEADER = (
+    "# Items of the source that could not be used. `gibson-sim scene check` repeats them; delete those that you have fixed.\n"
+)
+MIN_SCAN_TRIANGLES = 20_000
+"""Minimum number of triangles of a scan."""
+MIN_SCAN_SHARE = 0.5
+"""Minimum fraction of a scan's triangles in its largest connected component."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,8 +159,7 @@ def write_scene(scene: ImportedScene, output: Path) -> Path:
     """
     with new_folder(output) as folder:
         writer = _MeshCopier(scene.root, folder, scene.loader)
-        document = scene_document(scene, writer)
-        write_file(folder / DESCRIPTION, document)
+        _write_description(scene, writer, folder)
         writer.maps(scene.maps, scene.floors)
         for licence in scene.licences:
             shutil.copyfile(licence, folder / licence.name)
@@ -147,13 +168,13 @@ def write_scene(scene: ImportedScene, output: Path) -> Path:
 
 
 def _write_left_out(scene: ImportedScene, folder: Path) -> None:
-    text = left_out_text(scene.warnings)
+    text = _left_out_text(scene.warnings)
     if text:
         write_file(folder / LEFT_OUT, text)
 
 
-def scene_document(scene: ImportedScene, writer: MeshPlacer) -> str:
-    """Returns the text of the scene.yaml; ``writer`` places the mesh files and returns their paths."""
+def _write_description(scene: ImportedScene, writer: MeshPlacer, folder: Path) -> None:
+    """Writes the scene.yaml; ``writer`` places the mesh files and returns their paths."""
     names: dict[str, int] = {}
     document: dict[str, Any] = {"name": scene.name}
     document["description"] = scene.description or f"Imported from a {scene.kind}"
@@ -177,8 +198,7 @@ def scene_document(scene: ImportedScene, writer: MeshPlacer) -> str:
     if scene.starts:
         document["starts"] = scene.starts
     document["objects"] = [_object(item, writer, names) for item in scene.objects]
-    head = f"# Written by: gibson-sim scene import (from a {scene.kind})\n"
-    return head + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=140)
+    write_scene_yaml(folder, document, f"Written by: gibson-sim scene import (from a {scene.kind})")
 
 
 def _object(item: ImportedObject, writer: MeshPlacer, names: dict[str, int]) -> dict[str, Any]:
@@ -273,8 +293,6 @@ class _MeshCopier(MeshPlacer):
 
     def maps(self, maps: Sequence[FloorPicture], floors: Sequence[float]) -> None:
         """Writes the maps of the source in Nav2's format: an image and a YAML file for each."""
-        from gibson_sim_tools.importing.floor_pictures import write_nav2_map
-
         for picture in maps:
             height = floors[picture.number] if picture.number < len(floors) else 0.0
             write_nav2_map(picture, height, self._folder / "maps")
@@ -297,7 +315,7 @@ def write_in_place(scene: ImportedScene, folder: Path) -> Path:
         raise SceneError(
             f"{outside[0]}: lies outside {folder}, where the scene.yaml would go; give --output FOLDER to copy all files"
         )
-    write_file(path, scene_document(scene, MeshPlacer(folder, folder)))
+    _write_description(scene, MeshPlacer(folder, folder), folder)
     _write_left_out(scene, folder)
     return path
 
@@ -320,3 +338,77 @@ def file_name(name: str) -> str:
 
 def _short(value: float) -> float:
     return round(float(value), 9) + 0.0
+
+
+def write_nav2_map(picture: FloorPicture, floor_z: float, folder: Path) -> None:
+    """Writes ``floor_N.pgm``, row 0 at the highest y, and ``floor_N.yaml``.
+
+    Args:
+        picture: the map.
+        floor_z: height of its floor, metres; written as a comment.
+        folder: created if missing.
+
+    Raises:
+        SceneError: the image cannot be read.
+    """
+    data = picture.file.read_bytes()
+    size = image_size(data)
+    if size is None or size.pixels > MAX_PIXELS:
+        problem = "is not an image" if size is None else f"has {size.width} x {size.height} pixels"
+        raise SceneError(f"{picture.file}: {problem}; a map must be an image of at most {MAX_PIXELS // 2**20} million pixels")
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise SceneError(
+            f"{picture.file}: is truncated or damaged; copy it again, or delete it: Gibson Sim computes its own maps"
+        )
+    name = f"floor_{picture.number}"
+    # Nav2: 254 = free, 0 = occupied.
+    free = np.where(image[::-1] == 255, 254, 0).astype(np.uint8)
+    write_picture(folder / f"{name}.pgm", free)
+    rows, columns = image.shape
+    values = {
+        "image": f"{name}.pgm", "mode": "trinary", "resolution": picture.resolution,
+        "origin": [-columns / 2 * picture.resolution, -rows / 2 * picture.resolution, 0.0],
+        "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.25,
+    }  # fmt: skip
+    header = f"# From {picture.file.name}, part of the source; floor at z = {floor_z:g} m\n"
+    write_file(folder / f"{name}.yaml", header + yaml.safe_dump(values, sort_keys=False))
+
+
+def _left_out_text(lines: Iterable[str]) -> str:
+    """Returns the text of the file for these lines; empty without lines."""
+    entries = [{"kind": kind_of(line).name.lower(), "text": str(line)} for line in dict.fromkeys(lines)]
+    return _LEFT_OUT_HEADER + yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=10_000) if entries else ""
+
+
+def read_left_out(folder: Path) -> Sequence[Omission]:
+    """Returns the omissions that an import listed in the folder of a scene; empty without the file.
+
+    Raises:
+        SceneError: the file cannot be read.
+    """
+    path = folder / LEFT_OUT
+    if not is_file(path):
+        return ()
+    try:
+        entries = read_yaml_file(path)
+    except (OSError, TextError) as error:
+        raise SceneError(f"{path}: {error}") from error
+    kinds = {kind.name.lower(): kind for kind in OmissionKind}
+    lines = []
+    for entry in entries if isinstance(entries, list) else [entries]:
+        if not isinstance(entry, dict) or not isinstance(entry.get("text"), str) or entry.get("kind") not in kinds:
+            raise SceneError(
+                f"{path}: must be a list of {{kind: .., text: ..}}, kind one of {', '.join(kinds)}; correct it, or delete it"
+            )
+        lines.append(Omission(clipped(entry["text"], _MAX_LINE_LENGTH), kinds[entry["kind"]]))
+    return tuple(lines)
+
+
+def is_scan(mesh: Mesh) -> bool:
+    """Returns whether a mesh is probably a scan: many triangles, most of them connected."""
+    if mesh.triangle_count < MIN_SCAN_TRIANGLES:
+        return False
+    vertices, triangles = weld(*mesh.merged())
+    sizes = np.bincount(components(triangles, len(vertices)), minlength=1)
+    return bool(sizes.max() > MIN_SCAN_SHARE * mesh.triangle_count)

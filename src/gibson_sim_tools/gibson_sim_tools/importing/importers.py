@@ -1,8 +1,9 @@
-"""Reads sources of all kinds into an ``ImportedScene``."""
+"""Imports sources of all kinds: reads each into an ``ImportedScene``, writes it as a folder with a scene.yaml, and loads that."""
 
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,25 +17,35 @@ from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import TO_Z_UP, Mesh, UpAxis
 from gibson_sim.formats.ply import ply_part, read_ply
 from gibson_sim.geometry.transforms import matrix_from_pose, quat_from_matrix
-from gibson_sim.scenes.load import read_scene
+from gibson_sim.scenes.load import load_scene, read_scene
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec
 from gibson_sim.types import Pose, Vec3
 from gibson_sim_tools.importing.checks.facts import SUFFIXES_WITHOUT_UP_AXIS
 from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, direction_text, guess_up, rotation_to_z
-from gibson_sim_tools.importing.document import BAKED_LIGHT, SIMPLIFIED, FloorPicture, ImportedObject, ImportedScene
-from gibson_sim_tools.importing.floor_pictures import GIBSON_RESOLUTION
-from gibson_sim_tools.importing.hm3d import labelled_faces_of_textures
+from gibson_sim_tools.importing.document import (
+    ASSETS,
+    BAKED_LIGHT,
+    GIBSON_RESOLUTION,
+    SIMPLIFIED,
+    FloorPicture,
+    ImportedObject,
+    ImportedScene,
+    is_scan,
+    write_in_place,
+    write_scene,
+)
+from gibson_sim_tools.importing.fetching.archives import only_folder, unpack
 from gibson_sim_tools.importing.labels import (
     LabelledFaces,
     class_name,
     habitat_classes,
+    labelled_faces_of_textures,
     replica_classes,
     split_objects,
     transfer_labels,
 )
-from gibson_sim_tools.importing.scans import is_scan
-from gibson_sim_tools.importing.sources import MAX_BYTES, Source, SourceKind
+from gibson_sim_tools.importing.sources import MAX_BYTES, Source, SourceKind, identify
 from gibson_sim_tools.importing.usd import read_usd
 
 _OBJECT_ID = ("object_id", "objectId", "segment")
@@ -375,3 +386,60 @@ def _shape(shape: Shape) -> tuple[Path | dict[str, object], Vec3]:
     if shape.kind == "sphere":
         return {"sphere": shape.size[0]}, (1.0, 1.0, 1.0)
     return {shape.kind: {"radius": shape.size[0], "length": shape.size[1]}}, (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportResult:
+    """Result of an import."""
+
+    file: Path
+    """Path of the scene.yaml."""
+    kind: str
+    """Kind of the source in words, such as ``Gibson folder``."""
+    scene: SceneSpec
+    """The written scene, loaded."""
+    warnings: tuple[str, ...]
+    """Warnings, one line each."""
+
+
+def import_scene(source: Path, output: Path | None, options: ImportOptions | None = None) -> ImportResult:
+    """Imports a scene of any kind, and loads the result.
+
+    Args:
+        source: file, folder or archive.
+        output: new folder for the scene.yaml and a copy of all files; None = the scene.yaml is written beside the source, whose files
+            stay in place.
+        options: None = the defaults.
+
+    Raises:
+        SceneError: the source cannot be read, or the scene cannot be written.
+    """
+    identified = identify(source)
+    if identified.kind is SourceKind.GIBSON_SIM:
+        raise SceneError(f"{source}: is a Gibson Sim scene already; use it as it is")
+    if identified.kind is not SourceKind.ARCHIVE:
+        return _import_source(identified, output, options or ImportOptions())
+    if output is None:
+        raise SceneError(f"{source}: is an archive; give a folder for the scene with --output")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{output.name}.", dir=output.parent) as temporary:
+        unpack(source, Path(temporary) / "archive")
+        content = only_folder(Path(temporary) / "archive")
+        archive_options = options or ImportOptions()
+        return _import_source(
+            identify(content), output, replace(archive_options, name=archive_options.name or source.name.split(".")[0])
+        )
+
+
+def _import_source(source: Source, output: Path | None, options: ImportOptions) -> ImportResult:
+    scene = read_source(source, options)
+    file = write_scene(scene, output) if output is not None else write_in_place(scene, scene.in_place_folder or source.folder)
+    spec = load_scene(file)
+    # Loading the copy repeats the warnings about the source.
+    known = {_warning_key(warning) for warning in scene.warnings}
+    new_warnings = [warning for warning in spec.warnings if _warning_key(warning) not in known]
+    return ImportResult(file, scene.kind, spec, (*dict.fromkeys(scene.warnings), *new_warnings))
+
+
+def _warning_key(warning: str) -> str:
+    return warning.replace(f"{ASSETS}/", "")

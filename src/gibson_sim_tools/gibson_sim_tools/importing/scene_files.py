@@ -13,7 +13,7 @@ from gibson_sim.maps.export import FLOORS
 from gibson_sim.maps.floor_map import FLOOR_CLEARANCE
 from gibson_sim.maps.free_poses import FREE_POSES, FreePose, scene_free_poses
 from gibson_sim.maps.traversability import scene_triangles
-from gibson_sim.scenes.load import DESCRIPTION
+from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.scenes.spec import SceneSpec
 
 F64 = NDArray[np.float64]

@@ -12,7 +12,8 @@ from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.formats.ply import POINT_CLOUD_ADVICE
 from gibson_sim.quoting import quoted
-from gibson_sim.scenes.load import DESCRIPTION, description_file, is_sdf_world
+from gibson_sim.scenes.load import description_file, is_sdf_world
+from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.scenes.sources import check_file
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix, rotated
 from gibson_sim.maps.bodies import still_visuals
-from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, FloorMap, make_floor_map
-from gibson_sim.maps.floors import floor_name
+from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, FloorMap, floor_name, make_floor_map
 from gibson_sim.maps.traversability import scene_triangles
 from gibson_sim.quoting import quoted
 from gibson_sim.render.cache import default_folder
@@ -53,7 +52,7 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
     Raises:
         SceneError: the scene has no free floor, or nothing but the ground.
     """
-    if not scene.visuals and not scene.collisions and not scene.bodies:
+    if scene.is_only_ground:
         raise SceneError(f"scene {quoted(scene.name)}: has nothing but the ground, so there is nothing to show")
     level = scene if floor_z is None else replace(scene, floor_z=floor_z, other_floors=scene.floors)
     floor = _floor_with_bodies(level)

@@ -18,11 +18,9 @@ from gibson_sim.errors import SceneError
 from gibson_sim.maps.scene_files import write_scene_files
 from gibson_sim.resources import cache_folder
 from gibson_sim_tools import package_path
-from gibson_sim_tools.making.building import Building
-from gibson_sim_tools.making.building_file import Quality, write_plan
-from gibson_sim_tools.making.pictures import write_thumbnail
+from gibson_sim_tools.making.building import Building, Quality, write_plan
+from gibson_sim_tools.making.pictures import write_surroundings, write_thumbnail
 from gibson_sim_tools.making.scene_folder import write_scene_folder
-from gibson_sim_tools.making.surroundings import write_surroundings
 
 ReportProgress = Callable[[str, float, float | None], None]
 """Callback; receives the current task, the completed fraction (0 to 1), and the remaining seconds (None = unknown)."""

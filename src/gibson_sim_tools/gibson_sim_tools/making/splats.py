@@ -15,7 +15,7 @@ from gibson_sim.formats.mesh import MeshPart
 from gibson_sim.formats.splats import SH_DC, Splats
 from gibson_sim.geometry.colours import linear_from_srgb, srgb_from_linear
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
-from gibson_sim.geometry.triangles import areas_of, spread_over, unit_normals
+from gibson_sim.geometry.triangle_meshes import areas_of, spread_over, unit_normals
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, check_pose, metres, read_image
+from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, check_pose, metres, read_depth, read_image
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -112,11 +113,7 @@ class Photographs:
         if item.depth is None:
             return None
         original, intrinsics = item.camera.intrinsics, self.intrinsics(number)
-        units = read_image(item.depth, cv2.IMREAD_UNCHANGED)
-        if units.dtype != np.uint16 or units.ndim != 2:
-            raise ScanError(
-                f"{item.depth}: is an image of {units.dtype} with shape {units.shape}; depth must be 16 bit with one channel"
-            )
+        units: NDArray[Any] = read_depth(item.depth)
         height, width = units.shape
         if abs(width * original.height - height * original.width) > ASPECT_TOLERANCE * width * original.height:
             raise ScanError(

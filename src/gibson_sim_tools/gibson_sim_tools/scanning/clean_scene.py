@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import merge
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
-from gibson_sim.geometry.triangles import spread_over, unit_normals
+from gibson_sim.geometry.triangle_meshes import spread_over, unit_normals
 from gibson_sim.maps.bodies import still_visuals
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene

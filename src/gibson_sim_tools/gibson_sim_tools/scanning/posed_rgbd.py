@@ -139,11 +139,7 @@ class PosedRgbd:
         """
         files = self.files[number]
         color = read_image(files.color, cv2.IMREAD_COLOR)
-        units = read_image(files.depth, cv2.IMREAD_UNCHANGED)
-        if units.dtype != np.uint16 or units.ndim != 2:
-            raise ScanError(
-                f"{files.depth}: is an image of {units.dtype} with shape {units.shape}; depth must be 16 bit with one channel"
-            )
+        units = read_depth(files.depth)
         for path, image in ((files.color, color), (files.depth, units)):
             self._check_size(path, image)
         return RgbdFrame(
@@ -201,6 +197,18 @@ def read_image(path: Path, flags: int) -> NDArray[Any]:
     if image is None:
         raise ScanError(f"{path}: is not a readable image; was the copy or the scan interrupted?")
     return image
+
+
+def read_depth(path: Path) -> NDArray[np.uint16]:
+    """Returns a depth image, (H, W), in its units.
+
+    Raises:
+        ScanError: it is missing or broken, or not 16 bit with one channel.
+    """
+    units = read_image(path, cv2.IMREAD_UNCHANGED)
+    if units.dtype != np.uint16 or units.ndim != 2:
+        raise ScanError(f"{path}: is an image of {units.dtype} with shape {units.shape}; depth must be 16 bit with one channel")
+    return units
 
 
 def check_pose(what: str, T_world_camera: NDArray[np.float64]) -> None:

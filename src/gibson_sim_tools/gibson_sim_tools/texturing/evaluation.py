@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.colours import srgb_from_linear
+from gibson_sim.sensors.image_similarity import psnr, ssim_map
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.quality import LINEAR_FROM_SRGB8, sample_bilinear
@@ -29,10 +30,6 @@ SHEET_WIDTH_PX = 320
 """Width of an image in it, pixels."""
 USUAL_PSNR = 17.0
 """PSNR of held-out photographs below which a scene hardly resembles them, dB: scans with correct poses have 19 and more, with wrong ones 14."""
-_C1, _C2 = 0.01**2, 0.03**2
-"""Stabilising constants of SSIM for a dynamic range of 1."""
-_SSIM_SIGMA_PX = 1.5
-"""Standard deviation of SSIM's Gaussian window, pixels (Wang et al., IEEE TIP 2004)."""
 _MIN_LIGHT, _MAX_LIGHT = 0.004, 0.93
 """Range of linear light, 0 to 1, in which exposures are matched."""
 
@@ -178,10 +175,10 @@ def image_similarity(
         target = photograph.astype(np.float32) / np.float32(255.0)
         compared = rendered.visible if rendered.compared is None else rendered.compared
         squared_error += float(((rgb - target)[compared].astype(np.float64) ** 2).sum())
-        ssim_sum += float(ssim(rgb, target)[compared].astype(np.float64).sum())
+        ssim_sum += float(ssim_map(rgb, target, peak=1.0)[compared].sum())
         count += int(compared.sum())
     mse = squared_error / max(3 * count, 1)
-    return ImageSimilarity(float(-10.0 * np.log10(max(mse, 1e-12))), ssim_sum / max(count, 1), count)
+    return ImageSimilarity(psnr(mse, peak=1.0), ssim_sum / max(count, 1), count)
 
 
 def exposure_matched(rgb: F32, photograph: U8, visible: Bools) -> F32:
@@ -206,15 +203,3 @@ def exposure_matched(rgb: F32, photograph: U8, visible: Bools) -> F32:
         srgb_from_linear(rendered_light * np.median(photograph_light[is_valid] / rendered_light[is_valid], axis=0)),
         dtype=np.float32,
     )
-
-
-def ssim(a: F32, b: F32) -> F32:
-    """Returns the SSIM map (H, W) of the luma of two images (H, W, 3), sRGB, 0 to 1."""
-    x, y = (np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), dtype=np.float32) for image in (a, b))
-
-    def mean(values: F32) -> F32:
-        return np.asarray(cv2.GaussianBlur(values, (0, 0), _SSIM_SIGMA_PX))
-
-    mx, my = mean(x), mean(y)
-    xx, yy, xy = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
-    return np.asarray((2 * mx * my + _C1) * (2 * xy + _C2) / ((mx * mx + my * my + _C1) * (xx + yy + _C2)), dtype=np.float32)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gibson_sim.geometry.transforms import invert
-from gibson_sim.geometry.triangles import unit_normals
+from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.exposure import Exposures

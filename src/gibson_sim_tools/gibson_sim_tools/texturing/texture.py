@@ -1,12 +1,18 @@
-"""Texturing pipeline: from a mesh and posed photographs to a texture atlas."""
+"""Texturing pipeline: from a mesh and posed photographs to a texture atlas, vertex colours where no photograph shows it, and a report.
+
+The report holds corrections of the poses, outliers, patches, and steps across seams. Vertex colours of unseen triangles are interpolated
+harmonically (Laplace) over the mesh; the mesh's own colours serve as a guide if it has any.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
@@ -20,14 +26,20 @@ from gibson_sim_tools.texturing.labelling import (
     optimise_labels,
     quality_loss,
 )
-from gibson_sim_tools.texturing.levelling import colors_along_seams, find_seams, global_levelling, local_levelling
+from gibson_sim_tools.texturing.levelling import (
+    colors_along_seams,
+    find_seams,
+    global_levelling,
+    local_levelling,
+    mean_color_step,
+    mean_edge_color_step,
+)
+from gibson_sim_tools.texturing.linear_solvers import conjugate_gradients
 from gibson_sim_tools.texturing.outliers import inlier_mask, propagate_to_neighbours
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import Views, concatenate_views, face_views, normalised_radius, sample_bilinear
-from gibson_sim_tools.texturing.report import TextureReport
 from gibson_sim_tools.texturing.settings import TextureSettings
 from gibson_sim_tools.texturing.surface import Adjacency, Surface, face_adjacency, project, split_long_edges
-from gibson_sim_tools.texturing.vertex_colors import interpolate_vertex_colors
 from gibson_sim_tools.texturing.visibility import depth_consistent, visible_faces
 
 F16 = NDArray[np.float16]
@@ -36,6 +48,9 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 Progress = Callable[[float], None]
+Bools = NDArray[np.bool_]
+_GREY = 0.5
+"""Colour of components without any known vertex, sRGB, 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,3 +246,90 @@ def _report_labels(report: TextureReport, labels: I32, candidates: Candidates, a
     report.patches = int(connected_patches(labels, adjacency).max(initial=-1)) + 1
     report.best_patches = int(connected_patches(best_labels(candidates), adjacency).max(initial=-1)) + 1
     report.quality_loss = quality_loss(labels, candidates)
+
+
+@dataclass(slots=True)
+class TextureReport:
+    """Report of texturing. The names of the fields are keys of its JSON."""
+
+    triangles: int = 0
+    photographs: int = 0
+    views: int = 0
+    moved_mm: float = 0.0
+    """Median correction of the positions, millimetres."""
+    turned_deg: float = 0.0
+    """Median correction of the orientations, degrees."""
+    kept_poses: int = 0
+    """Number of photographs whose correction exceeded the limits and was rejected."""
+    outliers: int = 0
+    """Number of rejected views."""
+    unseen: int = 0
+    """Number of triangles that no photograph shows."""
+    patches: int = 0
+    best_patches: int = 0
+    """Number of patches if each triangle had its view of highest quality."""
+    quality_loss: float = 0.0
+    """Quality lost against the best views, as a fraction."""
+    seam_edges: int = 0
+    seam_steps: dict[str, float] = field(default_factory=dict)
+    """Mean colour step across seams, 8-bit steps, by stage of levelling: ``before``, ``global``, ``local``."""
+    edge_steps: dict[str, float] = field(default_factory=dict)
+    """Mean step of the mean colours of each seam edge, without noise and fine detail, by the same stages."""
+    page_sizes: tuple[tuple[int, int], ...] = ()
+    """Width and height of each page, pixels."""
+
+    def add_steps(self, name: str, colors: NDArray[np.float32]) -> None:
+        """Records the colour steps after a stage of levelling, from the colours of both sides of the seams, (S, 2, T, 3)."""
+        self.seam_steps[name], self.edge_steps[name] = mean_color_step(colors), mean_edge_color_step(colors)
+
+    def lines(self) -> list[str]:
+        """Returns the report as text, one line per stage."""
+        share = 100.0 * self.unseen / max(self.triangles, 1)
+        steps = ", ".join(f"{value:.2f} {name}" for name, value in self.seam_steps.items())
+        edges = ", ".join(f"{value:.2f} {name}" for name, value in self.edge_steps.items())
+        pages = ", ".join(f"{w}x{h}" for w, h in self.page_sizes)
+        poses = (
+            f"poses: median correction {self.moved_mm:.1f} mm, {self.turned_deg:.2f} degrees; {self.kept_poses} beyond the limits"
+        )
+        return [
+            poses,
+            f"{self.triangles} triangles in {self.photographs} photographs: {self.views} views, {self.outliers} of them outliers; "
+            f"no photograph shows {share:.1f} % of the triangles",
+            f"{self.patches} patches ({self.best_patches} if each triangle had its best photograph) for {100.0 * self.quality_loss:.1f} % of "
+            f"the quality; textures {pages}",
+            f"{self.seam_edges} seam edges; mean step over them, of 255: {steps}; of the means of edges: {edges}",
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the report as plain values for JSON."""
+        return asdict(self)
+
+
+def interpolate_vertex_colors(triangles: I64, known: Bools, colors: F32, prior_colors: F32 | None) -> F32:
+    """Returns the colours of all vertices, (V, 3) float32, sRGB, 0 to 1: the known ones, and harmonic interpolation between them.
+
+    Args:
+        triangles: (F, 3), vertex indices.
+        known: (V,), mask of the vertices with a known colour.
+        colors: (V, 3), colours of the known vertices, sRGB, 0 to 1.
+        prior_colors: (V, 3), the mesh's own colours, sRGB, 0 to 1; then the difference to them is interpolated. None = there are none.
+    """
+    count = len(known)
+    base = np.zeros((count, 3)) if prior_colors is None else prior_colors.astype(np.float64)
+    difference = np.where(known[:, None], colors - base, 0.0 if prior_colors is not None else _GREY)
+    is_unknown = ~known
+    if is_unknown.any() and known.any():
+        edges = np.unique(
+            np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1), axis=0
+        )
+        ones = np.ones(len(edges))
+        graph = sparse.csr_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
+        graph = graph + graph.T
+        degree = np.asarray(graph.sum(axis=1)).ravel()
+        # The small diagonal term keeps components without any known vertex at their initial values.
+        matrix = (sparse.diags(degree + 1e-6) - graph).tocsr()[is_unknown]
+        interior = matrix[:, is_unknown].tocsr()
+        initial = difference[is_unknown]
+        rhs = -(matrix[:, known] @ difference[known]) + 1e-6 * initial
+        difference[is_unknown] = conjugate_gradients(interior, rhs, start=initial, max_iterations=1000)
+    return np.asarray(np.clip(base + difference, 0.0, 1.0), dtype=np.float32)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource, area_normals
-from gibson_sim_tools.importing.document import BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
-from gibson_sim_tools.importing.scans import is_scan
+from gibson_sim_tools.importing.document import BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, is_scan, write_scene
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform
 from gibson_sim_tools.texturing.surface import Surface
 from gibson_sim_tools.texturing.texture import TexturedSurface

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.bags.comparison.compare import Comparison, Row, compare
-from gibson_sim.bags.comparison.figures import figures, text_table
-from gibson_sim.bags.comparison.page import number, page
+from gibson_sim.bags.comparison.page import figures, number, page, text_table
 from gibson_sim.bags.comparison.pictures import picture_statistics, thumbnail
 from gibson_sim.bags.comparison.plots import draw_plots
 from gibson_sim.bags.comparison.recorded_drive import Commands, Pictures, PlanarTrack, RecordedDrive

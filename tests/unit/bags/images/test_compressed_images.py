@@ -13,9 +13,8 @@ import pytest
 from gibson_sim.bags.check import check_bag
 from gibson_sim.bags.export.read import camera_images, find_cameras
 from gibson_sim.bags.film import film_topics
-from gibson_sim.bags.images.compress import ImageCompressor
+from gibson_sim.bags.images.compress import ImageCompressor, ImageStream, size_line
 from gibson_sim.bags.images.decode import COMPRESSED, base_topic, raw_image
-from gibson_sim.bags.images.sizes import ImageStream, size_line
 from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.bags.video import image_topics, write_contact_sheet
 from gibson_sim.bags.writer import BagWriter

@@ -18,12 +18,11 @@ from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.from_photographs import importing
-from gibson_sim_tools.from_photographs.archive import is_photograph_archive
 from gibson_sim_tools.from_photographs.closed_floor import closed_floor
 from gibson_sim_tools.from_photographs.given_mesh import given_mesh
 from gibson_sim_tools.from_photographs.image_checks import is_truncated
 from gibson_sim_tools.from_photographs.importing import UNSEEN_FLOOR, PhotographImport
-from gibson_sim_tools.from_photographs.inputs import find_inputs, is_photograph_folder
+from gibson_sim_tools.from_photographs.inputs import find_inputs, is_photograph_archive, is_photograph_folder
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
 from gibson_sim_tools.from_photographs.stages import RECORD, Stage, StagedJob
 from gibson_sim_tools.photographs.layouts import open_photographs

@@ -21,7 +21,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spawning import SpawnError, load_spawnable
 from gibson_sim.types import Pose
 from gibson_sim_tools.importing.fetching.archives import ArchiveLimits, unpack
-from gibson_sim_tools.importing.run import import_scene
+from gibson_sim_tools.importing.importers import import_scene
 from support.gltf import Gltf
 from support.interiors import room, write_gibson_folder, write_obj
 from support.plys import ply

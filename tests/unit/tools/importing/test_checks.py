@@ -1,4 +1,7 @@
-"""Problems of a scene are found, with numbers, and repaired where possible."""
+"""Problems of a scene are found, with numbers, and repaired where possible.
+
+Pieces of floor that gaps in a scan separate are reported; those behind walls are not.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,9 @@ import pytest
 
 from gibson_sim.cli.main import main
 from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
-from gibson_sim_tools.importing.checks.check import SceneReport, check_path
+from gibson_sim_tools.importing.checks.check import SceneReport, check_path, islands
 from gibson_sim_tools.importing.checks.faults import find_faults
 from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
 from gibson_sim_tools.importing.checks.gravity import guess_unit, guess_up, rotation_to_z, size_text
@@ -317,3 +321,41 @@ def test_a_copy_keeps_the_files_that_are_still_valid(
     assert {name for name in names if (tmp_path / "b" / name).exists()} == kept
     assert ("the copy has another frame, so these are left out: maps, " in out) == tilted
     assert (f"`gibson-sim scene map {tmp_path}/b --write` makes maps and free poses anew" in out) == tilted
+
+
+def _map(floor: np.ndarray, occupied: np.ndarray) -> FloorMap:
+    return FloorMap(0.1, (0.0, 0.0), occupied, floor & ~occupied)
+
+
+def _blank() -> tuple[np.ndarray, np.ndarray]:
+    """Returns a floor of 6 x 3 m with walls about it."""
+    floor, occupied = np.ones((32, 62), dtype=bool), np.zeros((32, 62), dtype=bool)
+    occupied[[0, -1]] = occupied[:, [0, -1]] = True
+    return floor, occupied
+
+
+def test_a_strip_that_was_not_scanned_makes_islands() -> None:
+    floor, occupied = _blank()
+    floor[:, 40:44] = False
+    large, small = islands(_map(floor, occupied), 0.2)
+    assert large == pytest.approx(3.4 * 2.5, rel=0.15) and small == pytest.approx(1.2 * 2.5, rel=0.25)
+
+
+def test_a_wall_makes_none() -> None:
+    floor, occupied = _blank()
+    occupied[:, 40:42] = True
+    assert islands(_map(floor, occupied), 0.2) == ()
+
+
+def test_what_is_farther_than_a_metre_or_hardly_a_place_makes_none() -> None:
+    floor, occupied = _blank()
+    wide, tiny = floor.copy(), floor.copy()
+    wide[:, 25:50] = False
+    assert islands(_map(wide, occupied), 0.2) == ()
+    tiny[:, 40:56] = False
+    assert islands(_map(tiny, occupied), 0.2) == ()
+
+
+def test_a_floor_without_any_place_makes_none() -> None:
+    floor, occupied = _blank()
+    assert islands(_map(~floor, occupied), 0.2) == ()

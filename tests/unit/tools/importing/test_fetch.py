@@ -15,8 +15,7 @@ import yaml
 from gibson_sim.cli.main import main
 from gibson_sim.errors import GibsonSimError, SceneError
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.importing.fetching.download import download
-from gibson_sim_tools.importing.fetching.fetch import download_folder
+from gibson_sim_tools.importing.fetching.fetch import download, download_folder
 from gibson_sim_tools.importing.fetching.recipes import known_recipes, load_recipe
 from support.interiors import write_gibson_folder
 

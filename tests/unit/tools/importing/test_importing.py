@@ -19,8 +19,8 @@ from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim_tools.importing.checks.check import check_path
 from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
-from gibson_sim_tools.importing.run import ImportOptions, import_scene
-from gibson_sim_tools.importing.scans import is_scan
+from gibson_sim_tools.importing.document import is_scan
+from gibson_sim_tools.importing.importers import ImportOptions, import_scene
 from support.gltf import Gltf
 from support.interiors import SIZE, room, turned, write_gibson_folder, write_obj, write_replica_folder
 from support.plys import ply

@@ -10,11 +10,11 @@ import pytest
 
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart
-from gibson_sim_tools.importing.hm3d import labelled_faces_of_textures
 from gibson_sim_tools.importing.labels import (
     LabelledFaces,
     class_name,
     habitat_classes,
+    labelled_faces_of_textures,
     replica_classes,
     select_triangles,
     split_objects,

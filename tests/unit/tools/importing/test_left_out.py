@@ -9,8 +9,8 @@ import pytest
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.importing.checks.check import SceneReport, check_path
 from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
-from gibson_sim_tools.importing.left_out import LEFT_OUT
-from gibson_sim_tools.importing.run import import_scene
+from gibson_sim_tools.importing.document import LEFT_OUT
+from gibson_sim_tools.importing.importers import import_scene
 from support.interiors import room, write_obj
 
 TABLE = "<collision name='c'><geometry><box><size>1 2 0.8</size></box></geometry></collision>"

@@ -12,8 +12,7 @@ import yaml
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
-from gibson_sim_tools.importing.document import FloorPicture, file_name, rpy_deg
-from gibson_sim_tools.importing.floor_pictures import write_nav2_map
+from gibson_sim_tools.importing.document import FloorPicture, file_name, rpy_deg, write_nav2_map
 from gibson_sim_tools.importing.glb import encoded, write_glb
 from gibson_sim_tools.importing.sources import SourceKind, identify
 from support.gltf import png

@@ -18,7 +18,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.scene_meshes import collision_triangles
 from gibson_sim.scenes.spec import SplatsSpec
 from gibson_sim_tools.importing.checks.splat_alignment import align_splats
-from gibson_sim_tools.importing.checks.splats_in_yaml import write_visual
+from gibson_sim_tools.importing.checks.splats import write_visual
 from gibson_sim_tools.making.splats import splats_of_scene
 
 F64 = NDArray[np.float64]

@@ -11,7 +11,7 @@ from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.types import Pose
-from gibson_sim_tools.importing.run import import_scene
+from gibson_sim_tools.importing.importers import import_scene
 from support.gltf import png
 from support.interiors import room, write_obj
 

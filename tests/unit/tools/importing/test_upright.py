@@ -16,7 +16,7 @@ from gibson_sim_tools.importing.checks.facts import SceneFacts
 from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene, regressions
 from gibson_sim_tools.importing.checks.gravity import UpGuess, direction, direction_text, guess_up, refine_up, rotation_to_z
 from gibson_sim_tools.importing.document import rpy_deg
-from gibson_sim_tools.importing.run import ImportOptions, import_scene
+from gibson_sim_tools.importing.importers import ImportOptions, import_scene
 from support.interiors import box_faces, room, triangles, turned, write_obj
 from support.plys import ply
 from support.scans import hall, noisy_room

@@ -14,7 +14,7 @@ from gibson_sim.errors import EnvironmentProblemError, SceneError
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
 from gibson_sim_tools.importing import usd
-from gibson_sim_tools.importing.run import ImportOptions, import_scene
+from gibson_sim_tools.importing.importers import ImportOptions, import_scene
 
 STAGE = """#usda 1.0
 (

@@ -9,19 +9,16 @@ import numpy as np
 import pytest
 
 from gibson_sim.formats.load_mesh import load_mesh
-from gibson_sim_tools.making.blender.casters import shadow_caster
-from gibson_sim_tools.making.blender.openings import door_frame, window
+from gibson_sim_tools.making.blender.assembly import shadow_caster
 from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, facing_sides, pose_matrix
-from gibson_sim_tools.making.blender.stairs import slab_edges, stair
+from gibson_sim_tools.making.blender.shell import door_frame, slab_edges, stair, window
 from gibson_sim_tools.making.building import Body, Building, Opening, Room, Stair, Start, Storey, Wall
-from gibson_sim_tools.making.glb import BakedMaterial, Patch, write_boxes, write_glb
-from gibson_sim_tools.making.objects.catalogue import OBJECTS
-from gibson_sim_tools.making.objects.loose import LOOSE
+from gibson_sim_tools.making.objects.catalogue import LOOSE, OBJECTS
 from gibson_sim_tools.making.outside import outside_panorama
 from gibson_sim_tools.making.pictures import best_start, eye_camera
 from gibson_sim_tools.making.planning.objects import SIZES
-from gibson_sim_tools.making.robots.glb import Finish, write_solids
-from gibson_sim_tools.making.robots.surfaces import box
+from gibson_sim_tools.making.robots.surfaces import Finish, box, write_solids
+from gibson_sim_tools.making.scene_folder import BakedMaterial, Patch, write_boxes, write_glb
 
 WALL = Wall((0.0, 0.0), (4.0, 0.0), 0.3, 2.5, "room", "")
 

@@ -16,8 +16,7 @@ from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.scenes.spawning import built_in_spawnables, load_spawnable
 from gibson_sim.types import Pose
 from gibson_sim_tools.making.objects import program
-from gibson_sim_tools.making.objects.catalogue import OBJECTS
-from gibson_sim_tools.making.objects.joined import door_names
+from gibson_sim_tools.making.objects.catalogue import OBJECTS, door_names, objects_table
 from gibson_sim_tools.making.objects.model import (
     ObjectLink,
     ObjectModel,
@@ -31,7 +30,6 @@ from gibson_sim_tools.making.objects.model import (
 )
 from gibson_sim_tools.making.objects.pictures import PICTURES, noise
 from gibson_sim_tools.making.objects.program import make_objects, select_objects
-from gibson_sim_tools.making.objects.table import objects_table
 from gibson_sim_tools.making.objects.urdf import mesh_name, object_urdf
 
 MOST_TRIANGLES = 3000

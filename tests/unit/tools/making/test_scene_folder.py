@@ -22,17 +22,37 @@ from gibson_sim_tools.making.baking import check_blender
 from gibson_sim_tools.making.blender.appearances import APPEARANCES
 from gibson_sim_tools.making.blender.assembly import assemble
 from gibson_sim_tools.making.blender.charts import BORDER_PX, place_charts
-from gibson_sim_tools.making.blender.furniture.catalogue import BUILDERS, build_piece
+from gibson_sim_tools.making.blender.furniture import BUILDERS, build_piece
 from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface
 from gibson_sim_tools.making.blender.shell import build_shell, offset_polygon
-from gibson_sim_tools.making.building import MATERIALS, Body, Building, Lamp, Opening, Piece, Room, Start, Storey, Wall
-from gibson_sim_tools.making.building_file import QUALITIES, Quality, read_plan, write_plan
+from gibson_sim_tools.making.building import (
+    MATERIALS,
+    QUALITIES,
+    Body,
+    Building,
+    Lamp,
+    Opening,
+    Piece,
+    Quality,
+    Room,
+    Start,
+    Storey,
+    Wall,
+    read_plan,
+    write_plan,
+)
 from gibson_sim_tools.making.catalogue import CATALOGUE
-from gibson_sim_tools.making.glb import BakedMaterial, Patch, write_glb
+from gibson_sim_tools.making.pictures import write_surroundings
 from gibson_sim_tools.making.pixels import exposure_factors, fill_gaps, fill_gaps_mirrored, hidden_texels, tone_map, upsample_2x
 from gibson_sim_tools.making.planning.planner import plan_building
-from gibson_sim_tools.making.scene_folder import draw_reflection, smooth_small_charts, write_scene_folder
-from gibson_sim_tools.making.surroundings import write_surroundings
+from gibson_sim_tools.making.scene_folder import (
+    BakedMaterial,
+    Patch,
+    draw_reflection,
+    smooth_small_charts,
+    write_glb,
+    write_scene_folder,
+)
 
 ABOVE = {"kitchen_sink", "basin", "bath"}
 """Their taps stand out above them."""

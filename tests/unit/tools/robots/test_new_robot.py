@@ -11,8 +11,8 @@ import yaml
 
 from gibson_sim.cli.command_line import run
 from gibson_sim.errors import RenderError
-from gibson_sim.scenes.robot_files import load_robot
-from gibson_sim_tools.making.robots import picture
+from gibson_sim.robots.load import load_robot
+from gibson_sim_tools.robots import picture
 
 INERTIAL = '<inertial><mass value="{}"/><inertia ixx="0.05" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.05"/></inertial>'
 ROBOT = """<robot name="rover" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="track" default="0.4"/>

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gibson_sim_tools.making.robots.picture import _arrow
+from gibson_sim_tools.robots.picture import _arrow
 
 
 def test_the_arrow_lies_ahead_of_the_robot_and_points_away_from_it() -> None:

@@ -16,7 +16,7 @@ from gibson_sim_tools.texturing.outliers import inlier_mask, propagate_to_neighb
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import LINEAR_FROM_SRGB8, Views, concatenate_views, face_views, sample_bilinear
 from gibson_sim_tools.texturing.surface import Adjacency, project
-from gibson_sim_tools.texturing.vertex_colors import interpolate_vertex_colors
+from gibson_sim_tools.texturing.texture import interpolate_vertex_colors
 from gibson_sim_tools.texturing.visibility import VisibleFaces, visible_faces
 from support.painted_wall import CAMERA, moved, painted_wall, photographed, row_of_cameras
 

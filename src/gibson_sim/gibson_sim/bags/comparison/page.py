@@ -1,11 +1,13 @@
-"""The HTML page of a comparison: one self-contained file. Pure."""
+"""Formats a comparison: as an HTML page, one self-contained file, as plain values for JSON, and as lines of text. Pure."""
 
 from __future__ import annotations
 
 import base64
+import dataclasses
 import html
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -184,3 +186,54 @@ def _topics(comparison: Comparison) -> str:
 def _notes(notes: Sequence[str]) -> str:
     items = "".join(f"<li>{_text(note)}</li>" for note in notes)
     return f"<h2>Omissions and assumptions</h2><ul>{items}</ul>" if items else ""
+
+
+def figures(comparison: Comparison) -> dict[str, Any]:
+    """Returns all metrics as values for JSON; NaN and infinity become null."""
+    return {
+        "real": str(comparison.real.recording.path),
+        "sim": str(comparison.sim.recording.path),
+        "alignment": comparison.alignment,
+        "figures": [
+            {**_plain(dataclasses.asdict(row)), "difference": _plain(row.difference), "weight": _plain(row.weight)}
+            for row in comparison.rows
+        ],
+        "parameters": [
+            {
+                **_plain(dataclasses.asdict(one)),
+                "name": one.name,
+                "uncertainty": _plain(one.uncertainty),
+                "changes": one.changes,
+                "written": rounded(one),
+            }
+            for one in comparison.parameters
+        ],
+        "topics": {
+            side: {topic: _plain(dataclasses.asdict(timing)) for topic, timing in (one.timing or {}).items()}
+            for side, one in (("real", comparison.real), ("sim", comparison.sim))
+        },
+        "notes": list(comparison.notes),
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def text_table(comparison: Comparison, most: int = 12) -> str:
+    """Returns the largest differences with the parameters to change, as text."""
+    lines = [["what differs most", "real", "simulated", "change in robot.yaml"]]
+    lines += [
+        [f"{row.group}: {row.name}", number(row.real, row.unit), number(row.sim, row.unit), row.change]
+        for row in comparison.differing[:most]
+    ]
+    if len(lines) == 1:
+        return "no notable differences"
+    widths = [max(len(line[i]) for line in lines) for i in range(3)]
+    return "\n".join(
+        "  ".join([*(word.ljust(width) for word, width in zip(line, widths, strict=False)), line[3]]).rstrip() for line in lines
+    )

@@ -13,8 +13,7 @@ from ruamel.yaml.error import YAMLError
 
 from gibson_sim.bags.comparison.parameters import Parameter
 from gibson_sim.errors import RobotError
-from gibson_sim.robots.load import find_robot_file
-from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.robots.load import find_robot_file, load_robot
 from gibson_sim.writing import write_file
 
 _WHOLE = ("encoder_ticks", "beams")

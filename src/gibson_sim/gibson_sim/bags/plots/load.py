@@ -207,8 +207,7 @@ class _Reading:
         if not name:
             return None
         # Imported only when needed: most bags have a map.
-        from gibson_sim.maps.floor_map import scene_floor_map
-        from gibson_sim.maps.floors import floor_name, with_floor_at
+        from gibson_sim.maps.floor_map import floor_name, scene_floor_map, with_floor_at
         from gibson_sim.scenes.load import load_scene
 
         try:

@@ -61,15 +61,15 @@ def _run(args: argparse.Namespace) -> ExitCode:
         check_bag(folder)
     # Imported here, since the other sub-commands do not need SciPy.
     from gibson_sim.bags.comparison.compare import compare
-    from gibson_sim.bags.comparison.figures import figures, text_table
     from gibson_sim.bags.comparison.load import load_recording
     from gibson_sim.bags.comparison.measure import Assumptions
+    from gibson_sim.bags.comparison.page import figures, text_table
     from gibson_sim.bags.comparison.robot_file import robot_file, write_fitted
     from gibson_sim.bags.comparison.topics import topic_options
     from gibson_sim.bags.digest_comparison import comparison_line
     from gibson_sim.bags.plots.style import require_matplotlib
     from gibson_sim.bags.replaying import read_digests
-    from gibson_sim.scenes.robot_files import load_robot
+    from gibson_sim.robots.load import load_robot
 
     if args.output is not None and not args.fit:
         raise ConfigError(f"--output {args.output} needs --fit, which writes it: add --fit, or leave --output out")

@@ -25,8 +25,7 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render.batching.scene_geometry import SceneGeometry
 from gibson_sim.render.culling import occlusion_culling
 from gibson_sim.render.culling.closed_surfaces import NearPlaneTest
-from gibson_sim.render.culling.occlusion import DepthPyramid, ScreenBounds, pixels_from_links
-from gibson_sim.render.culling.subclusters import Subclusters
+from gibson_sim.render.culling.occlusion import DepthPyramid, ScreenBounds, Subclusters, pixels_from_links
 from gibson_sim.render.culling.visibility import Visibility, link_frames
 from gibson_sim.render.lod import lod_selection
 from gibson_sim.render.lod.lod_selection import DetailLimits, DrawOrderRules
@@ -65,6 +64,10 @@ class PinholePicture:
     """Top row in the target."""
     T_world_camera_before: Mat4 | None = None
     """Camera pose in the previous state, for optical flow; None = no motion."""
+
+    def crop(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Returns a view of the picture's rectangle in an image of the target."""
+        return image[self.y : self.y + self.height, self.x : self.x + self.width]
 
 
 class MultiDraw(NamedTuple):

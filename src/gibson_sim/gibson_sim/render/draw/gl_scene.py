@@ -12,7 +12,7 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render.batching.scene_geometry import SceneGeometry
 from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.culling.draw_plan import DEPTH_KINDS, VIEW, DrawPlan, DrawPlanner, MultiDraw, PinholePicture, draw_table
-from gibson_sim.render.culling.occluders import Occluders
+from gibson_sim.render.culling.occlusion import Occluders
 from gibson_sim.render.culling.visibility import Visibility
 from gibson_sim.render.draw.lighting import Lighting
 from gibson_sim.render.draw.material_maps import MaterialMaps
@@ -242,7 +242,7 @@ class GlScene:
             self._fill_depth(plans, [plan.near for plan in plans], self._planner.table)
             depth = self._read_depth(target)
         self._gl.glDisable(GL.POLYGON_OFFSET_FILL)
-        return [query.visible(_crop(depth, plan.picture)) for query, plan in zip(queries, plans, strict=True)]
+        return [query.visible(plan.picture.crop(depth)) for query, plan in zip(queries, plans, strict=True)]
 
     def _fill_occluders(self, target: RenderTarget, plans: Sequence[DrawPlan]) -> None:
         """Clears the depth of a target and draws the large occluders into it; leaves polygon offset enabled."""
@@ -465,7 +465,3 @@ class GlScene:
                 part.close()
         for buffer in buffers:
             self._gl.delete("glDeleteBuffers", buffer)
-
-
-def _crop(image: NDArray[np.float32], picture: PinholePicture) -> NDArray[np.float32]:
-    return image[picture.y : picture.y + picture.height, picture.x : picture.x + picture.width]

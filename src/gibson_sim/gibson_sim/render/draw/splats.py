@@ -123,7 +123,7 @@ class SplatPass:
         self._fill_depth(scene, target, layer, pictures)
         depth = layer.read_depth() if self._occlusion or self._loops else None
         occluders = depth if self._occlusion else None
-        orders = [self._chunks.select(p, None if occluders is None else _crop(occluders, p), cull=self._cull) for p in pictures]
+        orders = [self._chunks.select(p, None if occluders is None else p.crop(occluders), cull=self._cull) for p in pictures]
         counts = [len(order) for order in orders]
         views["count"], views["first"] = counts, np.cumsum([0, *counts[:-1]])
         self.drawn = sum(counts)
@@ -222,7 +222,7 @@ class SplatPass:
             out = np.zeros((picture.height, picture.width, 4), dtype=np.float32)
             if count:
                 tiled = place_in_tiles(fixed(projected[first : first + count]), picture.width, picture.height)
-                self._in_threads(*tiled, fixed(_crop(depth, picture)), out)
+                self._in_threads(*tiled, fixed(picture.crop(depth)), out)
             gl.glTextureSubImage2D(
                 layer.color, 0, picture.x, picture.y, picture.width, picture.height, GL.RGBA, GL.FLOAT, out.ctypes.data
             )
@@ -325,7 +325,3 @@ def _view(picture: PinholePicture, R_world_file: NDArray[np.float64]) -> NDArray
     view["file"][0, :, :3] = R_world_file  # transposed twice: inverted, and stored column-major
     view["skew"] = k[0, 1]
     return view
-
-
-def _crop(image: F32, picture: PinholePicture) -> F32:
-    return image[picture.y : picture.y + picture.height, picture.x : picture.x + picture.width]

@@ -16,7 +16,8 @@ import moderngl
 import numpy as np
 
 from gibson_sim.errors import GraphicsUnavailableError, RenderError
-from gibson_sim.filling.fillers import Filler, PushPull
+from gibson_sim.filling.fillers import PushPull
+from gibson_sim.filling.holes import Filler
 from gibson_sim.filling.inputs import CHANNELS
 from gibson_sim.filling.network import MULTIPLE, REACH_PX, GibsonNetwork
 from gibson_sim.render.context import GlContext, gl as GL

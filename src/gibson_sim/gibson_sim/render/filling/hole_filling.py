@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.filling.fillers import Filled, Filler, open_filler, uses_network
-from gibson_sim.filling.holes import MOVING, NOTHING, OUTSIDE, SURFACE, is_hole
+from gibson_sim.filling.fillers import open_filler, uses_network
+from gibson_sim.filling.holes import MOVING, NOTHING, OUTSIDE, SURFACE, Filled, Filler, is_hole
 from gibson_sim.quoting import quoted
 from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.draw.effects import Average

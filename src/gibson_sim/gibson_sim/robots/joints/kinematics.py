@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.description.mimic import Mimic
-from gibson_sim.description.urdf_model import UrdfJoint, UrdfModel
+from gibson_sim.description.urdf_model import Mimic, UrdfJoint, UrdfModel
 from gibson_sim.errors import CommandError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.quoting import quoted

@@ -17,11 +17,10 @@ from rclpy.node import Node
 
 from gibson_sim.client_config import DriveConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
-from gibson_sim.maps.floor_map import FloorMap
-from gibson_sim.maps.floors import with_floor_at
+from gibson_sim.maps.floor_map import FloorMap, with_floor_at
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.maps.tour import plan_tour
-from gibson_sim.robots import load
+from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions
@@ -34,7 +33,6 @@ from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import wait_until_acknowledged
 from gibson_sim.ros.topics.silence import SilenceNotice
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.spec import SceneSpec
 
 KEYS = {"w": (1, 0), "x": (-1, 0), "a": (0, 1), "d": (0, -1), "q": (1, 1), "e": (1, -1), "s": (0, 0), " ": (0, 0)}
@@ -81,7 +79,7 @@ class DriveNode(Node):
                 raise ConfigError("drive 'keyboard' needs a terminal on standard input; from a script use --drive with a file")
             self._drive = _KeyboardDrive(config)
         elif config.drive == "tour":
-            for module in (load_scene.__module__, load.__name__):
+            for module in (load_scene.__module__, load_robot.__module__):
                 logging.getLogger(module).setLevel(logging.ERROR)  # the physics node logs the same warnings
             if config.scene and config.robot:
                 self._load_map(load_scene(config.scene), config.robot)

@@ -15,9 +15,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from gibson_msgs.msg import Scene, SceneState
-from gibson_sim.bags.images.compress import ImageCompressor
+from gibson_sim.bags.images.compress import ImageCompressor, ImageForm, ImageStream, size_line
 from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, IMAGE_TYPES, SUFFIXES as IMAGE_SUFFIXES
-from gibson_sim.bags.images.sizes import ImageForm, ImageStream, size_line
 from gibson_sim.bags.metadata import TopicQos
 from gibson_sim.bags.recording import Recording, StartGate, report_lines
 from gibson_sim.client_config import RecordConfig

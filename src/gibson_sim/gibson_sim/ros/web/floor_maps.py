@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
 
-from gibson_sim.maps.floors import floor_at
+from gibson_sim.maps.floor_map import floor_at
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.web.robots import GraphNode
 from gibson_sim.web.server import PageServer

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
+from gibson_sim.sensors.depth_colours import colourise_depth
 from gibson_sim.sensors.image_codecs import decode_color, without_exif
 from gibson_sim.types import NS_PER_S
 from gibson_sim.web.videos import Image as PageImage
@@ -20,8 +21,6 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Profile that matches every publisher, and never blocks one."""
 _QUALITY = 80
 """JPEG quality, 0 to 100."""
-_FAR_M = 8.0
-"""Depth at the far end of the colour map, m."""
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _SUFFIX = "/compressed"
 
@@ -186,10 +185,10 @@ def bgr_image(msg: Image, *, is_depth: bool = False) -> NDArray[np.uint8] | None
     if dtype is np.uint8:
         return np.repeat(pixels, 3, axis=2) if channels == 1 else np.ascontiguousarray(pixels[:, :, :3])
     if msg.encoding == "32FC1":
-        return _depth(pixels[:, :, 0])
+        return colourise_depth(pixels[:, :, 0])
     if dtype is np.uint16:
         if is_depth:
-            return _depth(pixels[:, :, 0].astype(np.float32) / np.float32(1000.0))
+            return colourise_depth(pixels[:, :, 0].astype(np.float32) / np.float32(1000.0))
         if msg.encoding == "mono16":
             grey = pixels[:, :, :1].astype(np.float32) * (255.0 / max(1, int(pixels.max(initial=0))))
             return np.repeat(grey.astype(np.uint8), 3, axis=2)
@@ -213,13 +212,6 @@ def _converted(msg: Image) -> NDArray[np.uint8] | None:
     elif size == 2.0:
         data = data.reshape(msg.height, msg.width, 2)
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(data, dtype=np.uint8), code), dtype=np.uint8)
-
-
-def _depth(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
-    nearness = np.clip(1.0 - np.nan_to_num(depth, nan=_FAR_M, posinf=_FAR_M, neginf=_FAR_M) / _FAR_M, 0.0, 1.0)
-    colors: NDArray[np.uint8] = cv2.applyColorMap((255 * nearness).astype(np.uint8), cv2.COLORMAP_TURBO)
-    colors[~np.isfinite(depth) | (depth <= 0.0)] = 0
-    return colors
 
 
 def _labels(labels: NDArray[np.uint16]) -> NDArray[np.uint8]:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gibson_sim.geometry.rasterise import Grid
-from gibson_sim.geometry.triangle_meshes import components
-from gibson_sim.geometry.triangles import areas_of, unit_normals
+from gibson_sim.geometry.triangle_meshes import areas_of, components, unit_normals
 
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gibson_sim.description.mimic import leaders
 from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.description.rigid_groups import MOVING_TYPES
 from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.description.urdf_model import leaders
 from gibson_sim.errors import RobotError, SceneError
 from gibson_sim.geometry.transforms import invert, pose_from_matrix
 from gibson_sim.quoting import quoted
+from gibson_sim.scenes.mass_properties import solid_of, sum_of
 from gibson_sim.scenes.sdf.elements import F64, Element, is_true, name_of, numbers, pose_matrix, text_of
 from gibson_sim.scenes.sdf.geometry import PlacedShape
-from gibson_sim.scenes.sdf.inertia import solid_of, sum_of
 from gibson_sim.scenes.sdf.joints import JointAxis, read_axis
 from gibson_sim.scenes.sdf.materials import is_visible, look_of
 from gibson_sim.scenes.sdf.model import SdfModels, friction_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gibson_sim.description.mimic import Mimic
 from gibson_sim.description.omissions import OmissionKind
+from gibson_sim.description.urdf_model import Mimic
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.sdf.elements import Element, is_true, number, numbers, text_of

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 from gibson_sim.description.omissions import OmissionKind
+from gibson_sim.description.unread import Element, Grammar, Unread
 from gibson_sim.quoting import clipped, enumerated
-from gibson_sim.scenes.sdf.elements import Element, Warn, name_of, numbers
+from gibson_sim.scenes.sdf.elements import Warn, name_of, numbers
 
 _MAX_NAMES = 4
 """Maximum number of names in one warning."""
@@ -210,101 +209,47 @@ _ATTRIBUTES: dict[str, tuple[str, ...]] = {
 """Element that is read -> its attributes; others have none."""
 
 
-@dataclass(slots=True)
-class _Omitted:
-    """Elements left out for one reason."""
-
-    tags: dict[str, None] = field(default_factory=dict)
-    names: dict[str, None] = field(default_factory=dict)
-
-
 class LeftOut:
     """Collects the elements of a file that have no effect."""
 
     def __init__(self) -> None:
-        self._omitted: dict[str, _Omitted] = {}
-        self._unknown: dict[tuple[str, str], None] = {}
-        self._attributes: dict[str, None] = {}
-        self._repeated: dict[str, None] = {}
-        self._same_names: dict[str, None] = {}
+        self._found = Unread(_GRAMMAR)
 
-    def look(self, element: Element, where: str, key: str = "", skip: Iterable[str] = ()) -> None:
-        """Collects the descendants of an element that have no effect, except nested models.
-
-        Args:
-            element: the element.
-            where: what it is part of, for the warnings.
-            key: key of its children in ``_ELEMENTS``; empty = its tag.
-            skip: tags of children that are not looked at.
-        """
-        if not key:
-            self._look_at_attributes(element)
-        key = key or element.tag
-        rows = _ELEMENTS[key]
-        self._look_at_siblings(element, where, rows)
-        for child in element:
-            if not isinstance(child.tag, str) or ":" in child.tag or "{" in child.tag or child.tag in skip:
-                continue
-            if child.tag not in rows:
-                self._unknown[element.tag, child.tag] = None
-                continue
-            reason, harmless = rows[child.tag]
-            if not reason and child.tag != "model":
-                for read in child.iter() if child.tag == "geometry" else (child,):
-                    self._look_at_attributes(read)
-            inner = f"{key}/{child.tag}" if f"{key}/{child.tag}" in _ELEMENTS else child.tag
-            if reason:
-                if " ".join((child.text or "").lower().split()) not in harmless:
-                    self.add(child.tag, reason, _named(child, where))
-            elif inner in _ELEMENTS and child.tag != "model":
-                self.look(child, where, inner)
-        if key in ("friction/ode", "friction/bullet"):
-            first, second = ("mu", "mu2") if key == "friction/ode" else ("friction", "friction2")
-            values = numbers(element.findtext(first), (1,)), numbers(element.findtext(second), (1,))
-            if values[1] is not None and values[0] != values[1]:
-                self.add(second, _CONTACTS, where)
-
-    def _look_at_attributes(self, element: Element) -> None:
-        """Collects the attributes that SDF does not have."""
-        known = _ATTRIBUTES.get(element.tag, ())
-        for name in element.attrib:
-            if name not in known and ":" not in name and "{" not in name:
-                self._attributes[f"{clipped(name, 60)} of <{clipped(element.tag, 60)}>"] = None
-
-    def _look_at_siblings(self, element: Element, where: str, rows: dict[str, tuple[str, tuple[str, ...]]]) -> None:
-        """Collects elements of which only the first counts, and shapes of the same name."""
-        for tag, count in Counter(child.tag for child in element).items():
-            if count > 1 and tag in rows and not rows[tag][0] and tag not in _SEVERAL:
-                self._repeated[f"{count} <{tag}> in {_named_element(element, where)}"] = None
-        for tag in ("collision", "visual"):
-            for name, count in Counter(name_of(child) for child in element.iterfind(tag)).items():
-                if name and count > 1:
-                    self._same_names[f"{count} <{tag}> {clipped(name, 60)} in {_named_element(element, where)}"] = None
-
-    def add(self, tag: str, reason: str, name: str) -> None:
-        """Adds an element that has no effect."""
-        omitted = self._omitted.setdefault(reason, _Omitted())
-        omitted.tags[tag] = None
-        omitted.names[name] = None
+    def look(self, element: Element, where: str) -> None:
+        """Collects the descendants of an element that have no effect, except nested models; ``where``: what it is part of, for the warnings."""
+        self._found.look(element, where)
 
     def report(self, warn: Warn) -> None:
         """Passes on one warning for each reason, and one for the elements that SDF does not have, and forgets them."""
-        for reason, omitted in self._omitted.items():
+        found = self._found
+        for reason, omitted in found.omitted.items():
             tags = ", ".join(f"<{tag}>" for tag in omitted.tags)
             warn(f"{tags} of {listed(list(omitted.names))}: left out: {reason}", OmissionKind.OTHER)
-        if self._unknown:
-            names = listed([f"<{tag}> in <{parent}>" for parent, tag in self._unknown])
+        if found.unknown:
+            names = listed([f"<{tag}> in <{parent}>" for parent, tag in found.unknown])
             warn(f"{names}: unknown in SDF; left out", OmissionKind.OTHER)
-        for found, problem in (
-            (self._attributes, "attributes that SDF does not have; they have no effect"),
-            (self._repeated, "only the first of several counts"),
-            (self._same_names, "names must be unique; all are read"),
+        attributes = [f"{clipped(name, 60)} of <{clipped(tag, 60)}>" for name, tag in found.attributes]
+        for texts, problem in (
+            (attributes, "attributes that SDF does not have; they have no effect"),
+            (list(found.repeated), "only the first of several counts"),
+            (list(found.same_names), "names must be unique; all are read"),
         ):
-            if found:
-                warn(f"{listed(list(found))}: {problem}", OmissionKind.OTHER)
-            found.clear()
-        self._omitted.clear()
-        self._unknown.clear()
+            if texts:
+                warn(f"{listed(texts)}: {problem}", OmissionKind.OTHER)
+        found.clear()
+
+
+def _check(found: Unread, element: Element, key: str, where: str) -> None:
+    """Collects shapes of the same name, and friction that differs with the direction."""
+    for tag in ("collision", "visual"):
+        for name, count in Counter(name_of(child) for child in element.iterfind(tag)).items():
+            if name and count > 1:
+                found.same_names[f"{count} <{tag}> {clipped(name, 60)} in {_named_element(element, where)}"] = None
+    if key in ("friction/ode", "friction/bullet"):
+        first, second = ("mu", "mu2") if key == "friction/ode" else ("friction", "friction2")
+        values = numbers(element.findtext(first), (1,)), numbers(element.findtext(second), (1,))
+        if values[1] is not None and values[0] != values[1]:
+            found.add(second, _CONTACTS, where)
 
 
 def _named(child: Element, where: str) -> str:
@@ -327,3 +272,15 @@ def _named_element(element: Element, where: str) -> str:
 def listed(names: list[str]) -> str:
     """Returns the first names of a list, and the number of the others."""
     return enumerated(names, _MAX_NAMES)
+
+
+_GRAMMAR = Grammar(
+    _ELEMENTS,
+    _ATTRIBUTES,
+    _SEVERAL,
+    separate=frozenset({"model"}),
+    others_have_attributes=False,
+    name=_named,
+    title=_named_element,
+    check=_check,
+)

@@ -19,9 +19,9 @@ from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.quoting import quoted
+from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.trials.planning.obstacles import NoRoomError, place_obstacles
 from gibson_sim.trials.planning.places import NoPlaceError, choose_places, given_place
 from gibson_sim.trials.planning.robots import VariedRobot, check_variants, ranges_of

@@ -23,11 +23,11 @@ from gibson_sim.description.rigid_groups import DEFAULT_FRICTION
 from gibson_sim.description.urdf import UrdfModel, parse_urdf
 from gibson_sim.description.xacro import plain_description
 from gibson_sim.errors import ConfigError, GibsonSimError, RobotError
+from gibson_sim.formats.load_mesh import mesh_points
 from gibson_sim.formats.yaml_map import read_yaml_map
 from gibson_sim.reading import parse_xml, read_file, without_default_namespace
 from gibson_sim.robots.load import derive_file, find_robot_file, load_robot
 from gibson_sim.robots.loading.derive import DESCRIPTION_SUFFIXES
-from gibson_sim.scenes.robot_files import mesh_points
 from gibson_sim.trials.scenario.spec import Randomisation, Range
 from gibson_sim.writing import write_file
 
@@ -78,7 +78,7 @@ class VariedRobot:
         self.file = f"{FOLDER}/{re.sub(r'[^A-Za-z0-9_-]', '_', stem) or 'robot'}.yaml"
         """Path of the robot's file in the folder of a run."""
         if path.suffix.lower() in DESCRIPTION_SUFFIXES:
-            self._values: dict[str, Any] = derive_file(path, mesh_points()).values
+            self._values: dict[str, Any] = derive_file(path).values
             file, arguments = path, {}
         else:
             document = read_yaml_map(path, error=RobotError)

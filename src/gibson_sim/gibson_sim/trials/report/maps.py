@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.maps.floor_map import scene_floor_map
-from gibson_sim.maps.floors import floor_name
+from gibson_sim.maps.floor_map import floor_name, scene_floor_map
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.paths import Points, bounds

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from gibson_sim.durations import duration_text
+from gibson_sim.quoting import duration_text
 from gibson_sim.reading import read_file
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.keeping import FILM, PICTURES

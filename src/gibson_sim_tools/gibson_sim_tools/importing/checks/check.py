@@ -1,7 +1,11 @@
-"""Checks a scene for problems: orientation, unit, meshes, textures, floors, start poses, views, splats, files."""
+"""Checks a scene for problems: orientation, unit, meshes, textures, floors, start poses, views, splats, files.
+
+Among them are pieces of free floor that are separated only by a gap in the scan.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -10,11 +14,12 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.errors import GibsonSimError, SceneError
 from gibson_sim.formats.image_header import MAX_PIXELS
-from gibson_sim.geometry.triangles import areas_of, unit_normals
+from gibson_sim.geometry.triangle_meshes import areas_of, unit_normals
 from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, FloorMap, scene_floor_map
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.load import load_scene
@@ -29,11 +34,8 @@ from gibson_sim_tools.importing.checks.facts import (
 )
 from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
 from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_up, size_text
-from gibson_sim_tools.importing.checks.islands import islands
 from gibson_sim_tools.importing.checks.splats import LARGE_SPLAT, MAX_SPLAT_DISTANCE, splat_distance
-from gibson_sim_tools.importing.document import ASSETS
-from gibson_sim_tools.importing.left_out import read_left_out
-from gibson_sim_tools.importing.scans import MIN_SCAN_SHARE, MIN_SCAN_TRIANGLES
+from gibson_sim_tools.importing.document import ASSETS, MIN_SCAN_SHARE, MIN_SCAN_TRIANGLES, read_left_out
 from gibson_sim_tools.importing.scene_files import is_partly_finished, missing_items, outdated_items
 from gibson_sim_tools.view_holes import ROBOT_HEIGHT, ROBOT_RADIUS, ViewHoles, view_holes
 
@@ -54,6 +56,11 @@ _INVERTED_SHARE = 0.001
 """Fraction of inverted triangles above which they are a warning."""
 _DEGENERATE_SHARE, _MIN_DEGENERATE = 0.01, 100
 """Fraction and number of degenerate triangles above which they are a warning."""
+Bools = NDArray[np.bool_]
+_REACH = 1.0
+"""Distance to scanned floor within which unscanned cells may be floor, m."""
+_MIN_AREA = 0.3
+"""Minimum area of a reported piece, m^2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,3 +401,34 @@ def _scene_files(scene: SceneSpec) -> Iterator[SceneFinding]:
     if lacking and is_partly_finished(scene):
         remedy = "`gibson-sim scene map SCENE --write` writes maps and free poses; docs/scenes.md describes rooms"
         yield SceneFinding("unfinished", "note", f"a finished scene also has {', '.join(lacking)}", remedy)
+
+
+def islands(floor: FloorMap, radius: float) -> tuple[float, ...]:
+    """Returns the areas, m^2, of the pieces of free floor that would be connected if the unscanned cells between them were floor.
+
+    Args:
+        floor: map of the floor.
+        radius: radius of the robot, metres.
+
+    Returns:
+        The largest piece first, then the pieces that gaps separate from it; empty without such pieces.
+    """
+    free_cells = floor.inflate(radius)
+    labels, count = ndimage.label(free_cells)
+    if count < 2:
+        return ()
+    areas = np.bincount(labels.ravel(), minlength=count + 1) * floor.resolution**2
+    areas[0] = 0.0
+    largest = int(areas.argmax())
+    unknown = ~(floor.floor | floor.occupied)
+    is_near_scan = ndimage.distance_transform_edt(~floor.free) * floor.resolution <= _REACH
+    passable = np.pad(floor.free | (unknown & is_near_scan), 1, constant_values=False)
+    clearance = ndimage.distance_transform_edt(passable)[1:-1, 1:-1] * floor.resolution
+    joined_labels, _ = ndimage.label(free_cells | (clearance >= radius + floor.resolution * math.sqrt(0.5)))
+    main_label = joined_labels[labels == largest][0]
+    cut_off = [
+        k
+        for k in range(1, count + 1)
+        if k != largest and areas[k] >= _MIN_AREA and (joined_labels[labels == k] == main_label).any()
+    ]
+    return tuple(float(areas[k]) for k in [largest, *sorted(cut_off, key=lambda k: -areas[k])]) if cut_off else ()

@@ -15,8 +15,8 @@ from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import Mesh, TextureSource, merge
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
 from gibson_sim.reading import is_file
-from gibson_sim.scenes.load import DESCRIPTION
 from gibson_sim.scenes.scene_meshes import scene_roots
+from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Vec3
 from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_unit, guess_up

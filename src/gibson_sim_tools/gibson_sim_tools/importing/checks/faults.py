@@ -10,7 +10,7 @@ from trimesh.geometry import faces_to_edges
 from trimesh.graph import connected_component_labels
 from trimesh.grouping import group_rows, unique_rows
 
-from gibson_sim.geometry.triangles import areas_of
+from gibson_sim.geometry.triangle_meshes import areas_of
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

@@ -18,13 +18,13 @@ from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.formats.textures import decode_image
 from gibson_sim.geometry.transforms import matrix_from_pose
-from gibson_sim.geometry.triangles import areas_of, unit_normals
+from gibson_sim.geometry.triangle_meshes import areas_of, unit_normals
 from gibson_sim.maps.export import FLOORS
 from gibson_sim.maps.free_poses import FREE_POSES
 from gibson_sim.quoting import quoted
-from gibson_sim.scenes.load import DESCRIPTION
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.scene_meshes import scene_roots
+from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.scenes.spec import SceneSpec, SplatsSpec
 from gibson_sim.types import Pose, Vec3
 from gibson_sim.writing import cannot_write, write_file
@@ -33,7 +33,7 @@ from gibson_sim_tools.importing.checks.facts import declares_up, original_up
 from gibson_sim_tools.importing.checks.faults import find_faults
 from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, guess_up, refine_up, rotation_to_z
 from gibson_sim_tools.importing.checks.splat_alignment import align_splats, moved_splats
-from gibson_sim_tools.importing.checks.splats_in_yaml import visual_line, write_visual
+from gibson_sim_tools.importing.checks.splats import visual_line, write_visual
 from gibson_sim_tools.importing.document import ASSETS, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim_tools.importing.importers import WITHOUT_VISUAL, collisions_by_visual, light_document
 from gibson_sim_tools.importing.labels import select_triangles

@@ -1,6 +1,6 @@
 """``python -m gibson_sim_tools.making.blender PLAN WORK``: builds and bakes a building in a Python interpreter with Blender.
 
-PLAN is a file of ``gibson_sim_tools.making.building_file``; WORK is a folder, whose finished files are kept. Each line on standard output
+PLAN is a file of ``gibson_sim_tools.making.building``; WORK is a folder, whose finished files are kept. Each line on standard output
 reports progress as JSON.
 """
 
@@ -20,7 +20,7 @@ from gibson_sim_tools.making.blender.assembly import Assembly, assemble
 from gibson_sim_tools.making.blender.bake import Stage
 from gibson_sim_tools.making.blender.denoise import denoise
 from gibson_sim_tools.making.blender.mirrors import mirrors_of, reflection
-from gibson_sim_tools.making.building_file import Quality, read_plan
+from gibson_sim_tools.making.building import Quality, read_plan
 from gibson_sim_tools.making.pixels import fill_gaps_mirrored, hidden_texels
 
 _COLOR_COST = 4.0

@@ -1,4 +1,7 @@
-"""Assembles a building: a table of triangles with patterns and atlas coordinates. NumPy only."""
+"""Assembles a building: a table of triangles with patterns and atlas coordinates. NumPy only.
+
+Boxes that are not part of the scene cast the shadows of large movable bodies in the bake.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim_tools.making.blender.appearances import UNTEXTURED
-from gibson_sim_tools.making.blender.casters import shadow_caster
 from gibson_sim_tools.making.blender.charts import chart_extents, place_charts, place_corners
-from gibson_sim_tools.making.blender.furniture.catalogue import build_piece
-from gibson_sim_tools.making.blender.shapes import F64, I64, pose_matrix
+from gibson_sim_tools.making.blender.furniture import build_piece
+from gibson_sim_tools.making.blender.shapes import F64, I64, ObjectBuilder, Surface, pose_matrix
 from gibson_sim_tools.making.blender.shell import ShellObject, build_shell
-from gibson_sim_tools.making.building import Building
+from gibson_sim_tools.making.building import Body, Building
 from gibson_sim_tools.making.catalogue import CATALOGUE
 
 NO_ATLAS = -1
+_Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+_CASTERS: dict[str, tuple[_Box, ...]] = {
+    "fridge_body": (((-0.34, -0.3, 0.02), (0.31, 0.3, 1.78)),),
+    "oven_body": (((-0.3, -0.297, 0.02), (0.27, 0.297, 0.6)),),
+    "cabinet_drawers": (((-0.22, -0.3, 0.03), (0.2, 0.3, 0.72)),),
+    "cabinet_doors": (((-0.22, -0.4, 0.03), (0.2, 0.4, 0.76)),),
+    "chair_wooden": (((-0.2, -0.2, 0.435), (0.22, 0.2, 0.455)), ((-0.24, -0.19, 0.7), (-0.22, 0.19, 0.85))),
+    "stool": (((-0.17, -0.17, 0.43), (0.17, 0.17, 0.46)),),
+    "table_side": (((-0.21, -0.21, 0.47), (0.21, 0.21, 0.5)),),
+    "box_cardboard": (((-0.145, -0.195, 0.0), (0.145, 0.195, 0.28)),),
+    "basket": (((-0.12, -0.17, 0.0), (0.12, 0.17, 0.22)),),
+    "bin_waste": (((-0.1, -0.1, 0.0), (0.1, 0.1, 0.32)),),
+    "ball": (((-0.06, -0.06, 0.02), (0.06, 0.06, 0.2)),),
+}
+"""Lower and upper corners of the boxes for models of ``scenes/objects``, m."""
 
 
 @dataclass
@@ -139,3 +156,15 @@ def _place_in_atlases(
     uv[textured] = place_corners(uv_m, chart, low, size, placement, size_px)
     charts = np.column_stack([placement.atlas, placement.low_px, placement.size_px])
     return atlas, uv, charts, placement.density
+
+
+def shadow_caster(body: Body) -> ObjectBuilder | None:
+    """Returns the shadow caster of a body, in the world frame; None for small bodies."""
+    boxes = _CASTERS.get(body.model)
+    if boxes is None:
+        return None
+    solid = ObjectBuilder(np.random.default_rng(0))
+    for low, high in boxes:
+        solid.box(low, high, Surface("outside", (0.5, 0.5, 0.5)), 0)
+    solid.transform(0, pose_matrix(body.position, body.yaw))
+    return solid

@@ -1,10 +1,10 @@
-"""Plans a building from its kind and a seed."""
+"""Plans a building from its kind and a seed, with a palette of matching floor and wall materials."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,16 +13,20 @@ from gibson_sim.types import Vec3
 from gibson_sim_tools.making.building import Building, BuildingKind, Piece, Point, Room, Stair, Start, Storey, Wall
 from gibson_sim_tools.making.planning.floor_grid import FloorGrid
 from gibson_sim_tools.making.planning.furnishing import furnish
-from gibson_sim_tools.making.planning.homes import flat_layout, house_layout
-from gibson_sim_tools.making.planning.layout import BuildingLayout, Flight, Level, random_orientation
-from gibson_sim_tools.making.planning.leaves import hang_doors
-from gibson_sim_tools.making.planning.materials import Palette, palette, surfaces
-from gibson_sim_tools.making.planning.openings import with_doors, with_windows
+from gibson_sim_tools.making.planning.layout import (
+    BuildingLayout,
+    Flight,
+    Level,
+    flat_layout,
+    house_layout,
+    office_layout,
+    random_orientation,
+    shop_layout,
+)
 from gibson_sim_tools.making.planning.rectangles import Rect, bounding_rect
 from gibson_sim_tools.making.planning.rooms import room_view
 from gibson_sim_tools.making.planning.space import FurnishedRoom, Furnishings
-from gibson_sim_tools.making.planning.walls import outline, walls_of
-from gibson_sim_tools.making.planning.workplaces import office_layout, shop_layout
+from gibson_sim_tools.making.planning.walls import hang_doors, outline, walls_of, with_doors, with_windows
 
 KINDS: Mapping[BuildingKind, Callable[[np.random.Generator], BuildingLayout]] = {
     "flat": flat_layout,
@@ -40,6 +44,9 @@ ROBOT_RADIUS = 0.22
 """Radius of the robot that can reach every room, m."""
 LANDING = 0.9
 """Depth of free floor at both ends of a stair, m."""
+_WET = ("bathroom", "toilet")
+_COOKING = ("kitchen", "kitchenette")
+_ENTRY = ("hall", "corridor")
 
 
 def plan_building(kind: BuildingKind, seed: int, name: str = "") -> Building:
@@ -111,7 +118,7 @@ def _rounded(values: Vec3) -> Vec3:
 
 
 def _plan_storey(
-    layout: BuildingLayout, number: int, level: Level, materials: Palette, rng: np.random.Generator
+    layout: BuildingLayout, number: int, level: Level, materials: _Palette, rng: np.random.Generator
 ) -> Storey | None:
     """Returns a storey with walls, doors, windows and materials; None if a door does not fit."""
     walls = with_doors(walls_of(level.spaces, layout.partition, level.height), level.links, rng)
@@ -271,3 +278,69 @@ def blocked_floor(building: Building, number: int) -> tuple[Rect, ...]:
     rects = [flight_rect(s.foot, s.yaw, s.width, (s.steps - 1) * s.tread) for s in building.stairs if s.storey == number]
     rects += [bounding_rect(s.hole) for s in building.stairs if s.storey + 1 == number]
     return tuple(rects)
+
+
+@dataclass(frozen=True, slots=True)
+class _Palette:
+    """Materials of one building."""
+
+    floor: str
+    """Floor material of living rooms and corridors."""
+    soft_floor: str
+    """Floor material of bedrooms and offices."""
+    wet_floor: str
+    wet_walls: str
+    kitchen_floor: str
+    kitchen_walls: str
+    store_floor: str
+    walls: str
+    accents: tuple[str, ...]
+    """Wall materials of some rooms."""
+
+
+def palette(kind: BuildingKind, rng: np.random.Generator) -> _Palette:
+    """Samples a palette for a kind of building."""
+
+    def pick(*names: str) -> str:
+        return names[int(rng.integers(len(names)))]
+
+    if kind == "shop":
+        floor = pick("tile_grey", "terrazzo", "vinyl_grey", "tile_checker", "concrete", "oak_planks")
+    elif kind == "office":
+        floor = pick("oak_planks", "vinyl_grey", "carpet_grey", "terrazzo", "parquet")
+    else:
+        floor = pick("oak_planks", "walnut_planks", "pine_planks", "parquet")
+    soft = pick("carpet_grey", "carpet_blue", floor) if kind == "office" else pick(floor, floor, "carpet_beige", "carpet_grey")
+    wet_floor = pick("tile_grey", "tile_white", "tile_checker", "terrazzo", "marble", "tile_terracotta")
+    return _Palette(
+        floor=floor,
+        soft_floor=soft,
+        wet_floor=wet_floor,
+        wet_walls=pick("tile_white", "tile_metro", "tile_metro", "tile_grey", "marble"),
+        kitchen_floor=pick(
+            wet_floor, floor if not floor.startswith("carpet") else "vinyl_grey", "tile_terracotta", "tile_checker", "vinyl_grey"
+        ),
+        kitchen_walls=pick("plaster_white", "plaster_warm", "plaster_sage", "brick_white"),
+        store_floor=pick("concrete", "vinyl_grey"),
+        walls=pick("plaster_white", "plaster_white", "plaster_warm", "plaster_grey"),
+        accents=tuple(
+            pick("plaster_sage", "plaster_blue", "plaster_warm", "plaster_grey", "wallpaper_stripes", "brick_red", "brick_white")
+            for _ in range(2)
+        ),
+    )
+
+
+def surfaces(colours: _Palette, kind: str, rng: np.random.Generator) -> tuple[str, str]:
+    """Samples the materials of floor and walls for a kind of room."""
+    if kind in _WET:
+        return colours.wet_floor, colours.wet_walls
+    if kind in _COOKING:
+        return colours.kitchen_floor, colours.kitchen_walls
+    if kind == "storage":
+        return colours.store_floor, "plaster_white"
+    if kind in _ENTRY:
+        return colours.floor, colours.walls
+    accent = colours.accents[int(rng.integers(len(colours.accents)))] if rng.random() < 0.55 else colours.walls
+    if kind in ("bedroom", "office", "open_office", "study", "meeting"):
+        return colours.soft_floor, accent if not accent.startswith("brick") else colours.walls
+    return colours.floor, accent if kind == "living" else colours.walls

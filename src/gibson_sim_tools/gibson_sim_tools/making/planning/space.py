@@ -158,7 +158,7 @@ class FurnishedRoom:
         self, kind: str, face: WallFace, along: float, size: Vec3, lift: float = 0.0, gap: float = WALL_GAP
     ) -> FurnishingItem:
         """Returns an item with its back to a wall. ``along``: position of its centre along the wall, m."""
-        return FurnishingItem(kind, _rounded(face.point(along, size[0] / 2 + gap)), face.yaw, size, lift)
+        return FurnishingItem(kind, rounded(face.point(along, size[0] / 2 + gap)), face.yaw, size, lift)
 
     def fits(self, item: FurnishingItem) -> bool:
         """Returns whether an item is in the room, overlaps nothing, and leaves the zones of doors, windows and other items free."""
@@ -212,7 +212,7 @@ class FurnishedRoom:
 
     def _record(self, item: FurnishingItem, seed: int) -> None:
         """Adds an item to the building."""
-        x, y = _rounded(item.middle)
+        x, y = rounded(item.middle)
         position = (x, y, round(self.floor_z + item.lift, 4))
         if item.movable:
             self.furnishings.bodies.append(
@@ -331,6 +331,6 @@ class FurnishedRoom:
         return (distances * CELL - CELL / 2).astype(np.float32)
 
 
-def _rounded(point: Point) -> Point:
+def rounded(point: Point) -> Point:
     """Returns a point rounded to 0.1 mm."""
     return (round(point[0], 4), round(point[1], 4))

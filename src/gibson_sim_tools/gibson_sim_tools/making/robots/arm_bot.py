@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gibson_sim.types import Vec3
-from gibson_sim_tools.making.robots.glb import Finish, write_solids
-from gibson_sim_tools.making.robots.surfaces import ClosedSurface, Section, box, loft, tube
+from gibson_sim_tools.making.robots.surfaces import ClosedSurface, Finish, Section, box, loft, tube, write_solids
 
 FINISHES: Mapping[str, Finish] = {
     "shell": Finish((0.91, 0.92, 0.92), roughness=0.38),

@@ -10,9 +10,8 @@ import pytest
 from gibson_sim_tools.making.building import Body, Building, Opening, Piece, Room, Storey, Wall
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.floor_grid import FloorGrid
+from gibson_sim_tools.making.planning.furnishing.dressing import add_lamps, put_on_floor, scatter
 from gibson_sim_tools.making.planning.furnishing.groups import desk_group, place_at_wall, place_body_at_wall, table_group, wall_of
-from gibson_sim_tools.making.planning.furnishing.lighting import add_lamps
-from gibson_sim_tools.making.planning.furnishing.loose import put_on_floor, scatter
 from gibson_sim_tools.making.planning.rectangles import Rect
 from gibson_sim_tools.making.planning.rooms import RoomView, WallFace, room_view
 from gibson_sim_tools.making.planning.space import WALL_GAP, FurnishedRoom, FurnishingItem, Furnishings

@@ -8,11 +8,20 @@ import numpy as np
 import pytest
 
 from gibson_sim_tools.making.building import MATERIALS, BuildingKind
-from gibson_sim_tools.making.planning.homes import flat_layout, house_layout
-from gibson_sim_tools.making.planning.layout import BuildingLayout, Flight, Level, SpaceLink, random_orientation, rect_space
-from gibson_sim_tools.making.planning.materials import palette, surfaces
+from gibson_sim_tools.making.planning.layout import (
+    BuildingLayout,
+    Flight,
+    Level,
+    SpaceLink,
+    flat_layout,
+    house_layout,
+    office_layout,
+    random_orientation,
+    rect_space,
+    shop_layout,
+)
+from gibson_sim_tools.making.planning.planner import palette, surfaces
 from gibson_sim_tools.making.planning.rectangles import Rect
-from gibson_sim_tools.making.planning.workplaces import office_layout, shop_layout
 
 MAKERS = (flat_layout, house_layout, office_layout, shop_layout)
 SEEDS = range(12)

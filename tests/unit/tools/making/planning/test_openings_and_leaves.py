@@ -9,11 +9,9 @@ import pytest
 
 from gibson_sim_tools.making.building import Body, Opening, Storey, Wall
 from gibson_sim_tools.making.planning.layout import Level, SpaceLink, rect_space
-from gibson_sim_tools.making.planning.leaves import hang_doors
 from gibson_sim_tools.making.planning.objects import body_box, door_body, door_model, is_door, leaf_corners, leaf_rect
-from gibson_sim_tools.making.planning.openings import with_doors, with_windows
 from gibson_sim_tools.making.planning.rectangles import Rect
-from gibson_sim_tools.making.planning.walls import walls_of
+from gibson_sim_tools.making.planning.walls import hang_doors, walls_of, with_doors, with_windows
 
 SPACES = (rect_space("a", "living", 0, 0, 4, 3), rect_space("b", "bedroom", 4, 0, 8, 3))
 WALLS = walls_of(SPACES, 0.1, 2.5)

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from gibson_sim_tools.making.blender.objects import cabinets, doors, furniture, things, vessels
+from gibson_sim_tools.making.blender.objects import cabinets, doors, things, vessels
 from gibson_sim_tools.making.blender.objects.workshop import LinkModel, Workshop
 from gibson_sim_tools.making.objects.catalogue import OBJECTS
 from gibson_sim_tools.making.objects.urdf import mesh_name
@@ -21,7 +21,7 @@ def _makers(name: str) -> Mapping[str, Callable[[LinkModel], None]]:
     joined = {**doors.MAKERS, **cabinets.MAKERS}
     if name in joined:
         return joined[name]
-    return {"body": {**vessels.MAKERS, **things.MAKERS, **furniture.MAKERS}[name]}
+    return {"body": {**vessels.MAKERS, **things.MAKERS}[name]}
 
 
 def main() -> None:

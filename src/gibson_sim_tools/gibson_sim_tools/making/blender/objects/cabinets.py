@@ -1,13 +1,24 @@
-"""Models cabinets, a fridge and an oven, each link in its own frame (see ``gibson_sim_tools.making.objects.joined``)."""
+"""Models cabinets, a fridge and an oven, each link in its own frame (see ``gibson_sim_tools.making.objects.catalogue``)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from gibson_sim_tools.making.blender.objects.paints import BEECH, BLACK, DARK_STEEL, LACQUER, OAK, STEEL, WALNUT, WHITE, label
-from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial
-from gibson_sim_tools.making.objects.joined import BOARD_THICKNESS, DRAWER_HEIGHT, carcass
+from gibson_sim_tools.making.blender.objects.workshop import (
+    BEECH,
+    BLACK,
+    DARK_STEEL,
+    LACQUER,
+    OAK,
+    STEEL,
+    WALNUT,
+    WHITE,
+    LinkModel,
+    ShaderMaterial,
+    label,
+)
+from gibson_sim_tools.making.objects.catalogue import BOARD_THICKNESS, DRAWER_HEIGHT, carcass
 from gibson_sim_tools.making.objects.model import Primitive
 
 _HANDLE = 0.03

@@ -1,4 +1,4 @@
-"""Models doors and a window, each link in its own frame (see ``gibson_sim_tools.making.objects.joined``)."""
+"""Models doors and a window, each link in its own frame (see ``gibson_sim_tools.making.objects.catalogue``)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,19 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from gibson_sim_tools.making.blender.objects.paints import BLACK, DARK_STEEL, LACQUER, OAK, PANE, STEEL, WHITE
-from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial, mm
-from gibson_sim_tools.making.objects.joined import HANDLE_Z, LEAF_THICKNESS, door_names
+from gibson_sim_tools.making.blender.objects.workshop import (
+    BLACK,
+    DARK_STEEL,
+    LACQUER,
+    OAK,
+    PANE,
+    STEEL,
+    WHITE,
+    LinkModel,
+    ShaderMaterial,
+    mm,
+)
+from gibson_sim_tools.making.objects.catalogue import HANDLE_Z, LEAF_THICKNESS, door_names
 
 _HALF = LEAF_THICKNESS / 2
 _VENEER = replace(OAK, tile=1.1)

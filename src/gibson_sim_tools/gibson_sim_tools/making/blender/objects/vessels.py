@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import math
 
-from gibson_sim_tools.making.blender.objects.paints import BLACK, GLASS, PORCELAIN, TIN, WHITE, label
-from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial, mm
+from gibson_sim_tools.making.blender.objects.workshop import (
+    BLACK,
+    GLASS,
+    PORCELAIN,
+    TIN,
+    WHITE,
+    LinkModel,
+    ShaderMaterial,
+    label,
+    mm,
+)
 
 _FRONT = (0.0, 0.0, -math.pi / 2)
 """Rotates a label so that its first quarter, with the name, faces +x."""

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gibson_sim_tools.making.planning.furnishing.dressing import hang_curtains, hang_radiators
+from gibson_sim_tools.making.planning.furnishing.dressing import add_lamps, hang_curtains, hang_radiators, scatter
 from gibson_sim_tools.making.planning.furnishing.homes import furnish_bedroom, furnish_hall, furnish_living, furnish_study
-from gibson_sim_tools.making.planning.furnishing.lighting import add_lamps
-from gibson_sim_tools.making.planning.furnishing.loose import scatter
-from gibson_sim_tools.making.planning.furnishing.sales import furnish_shop
 from gibson_sim_tools.making.planning.furnishing.wet import furnish_bathroom, furnish_kitchen, furnish_kitchenette, furnish_toilet
 from gibson_sim_tools.making.planning.furnishing.workplaces import (
     furnish_meeting,
     furnish_office,
     furnish_open_office,
+    furnish_shop,
     furnish_storage,
 )
 from gibson_sim_tools.making.planning.space import FurnishedRoom

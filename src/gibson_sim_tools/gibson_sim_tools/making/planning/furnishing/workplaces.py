@@ -1,4 +1,4 @@
-"""Furnishes offices, meeting rooms and storage rooms."""
+"""Furnishes offices, meeting rooms, storage rooms, and the sales room of a shop."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ from gibson_sim_tools.making.planning.furnishing.groups import (
     put_desk,
     put_table,
 )
-from gibson_sim_tools.making.planning.rectangles import Rect
-from gibson_sim_tools.making.planning.rooms import WallFace
+from gibson_sim_tools.making.planning.rectangles import Rect, rotated_bounds
+from gibson_sim_tools.making.planning.rooms import GateView, WallFace
 from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
+
+_FRONT_DEPTH = 0.4
+"""Free depth behind the front, in addition to shelf and aisle, m."""
 
 
 def furnish_office(room: FurnishedRoom) -> bool:
@@ -153,3 +156,120 @@ def furnish_storage(room: FurnishedRoom) -> bool:
     for _ in range(int(room.rng.integers(2, 5))):
         place_at_wall(room, "crate_stack", near_corner(room, 0.55))
     return True
+
+
+def furnish_shop(room: FurnishedRoom) -> bool:
+    """Furnishes a sales room: checkout near the entrance, fridge and shelves along the walls, rows of gondolas between."""
+    entrance = next(gate for gate in room.view.gates if not gate.other_room)
+    if not _put_till(room, entrance) or not place_at_wall(room, "display_fridge", near_corner(room, 1.8)):
+        return False
+    aisle = round(float(room.rng.uniform(1.15, 1.35)), 2)
+    if not _put_gondolas(room, entrance, aisle):
+        return False
+    _line_walls(room)
+    fill_corners(room, "plant", 2)
+    return True
+
+
+def _line_walls(room: FurnishedRoom) -> None:
+    """Lines the walls with shelves, of equal width within each free interval."""
+    depth, _, height = room.size("wall_shelf")
+    for face in room.view.sides:
+        for low, high in room.free_intervals(face, depth + 0.02, height):
+            count = max(1, math.ceil((high - low) / 3.0))
+            width = math.floor((high - low) / count * 100.0) / 100.0 - 0.01
+            if width < 1.5:
+                continue
+            for n in range(count):
+                shelf = room.on_wall("wall_shelf", face, low + (high - low) * (n + 0.5) / count, (depth, width, height))
+                room.place([shelf], [shelf.front(0.9)])
+
+
+def _put_till(room: FurnishedRoom, entrance: GateView) -> bool:
+    """Places the checkout counter beside the entrance, facing it, with free floor for the cashier."""
+    size = room.size("till")
+    face, middle = entrance.face, entrance.opening.middle
+    signs = (1, -1) if room.rng.random() < 0.5 else (-1, 1)
+
+    def groups() -> Iterator[Group]:
+        for aside in (1.5, 1.3, 1.8, 2.2, 2.6):
+            for off in (0.5, 0.9, 1.3, 0.3):
+                for sign in signs:
+                    # Its front faces along the wall, towards the entrance.
+                    yaw = math.atan2(-sign * face.along[1], -sign * face.along[0])
+                    point = face.point(middle + sign * (aside + size[0] / 2), off + size[1] / 2)
+                    till = FurnishingItem("till", point, round(yaw, 6) + 0.0, size)
+                    behind = rotated_bounds(till.point_ahead(-size[0] / 2 - 0.4), yaw, 0.8, size[1])
+                    yield [till], [till.front(0.9), behind]
+
+    return bool(room.place_first(groups()))
+
+
+def _put_gondolas(room: FurnishedRoom, entrance: GateView, aisle: float) -> int:
+    """Fills the centre of the largest part of the room with rows of gondolas; returns their number."""
+    # Shelves line the walls, with an aisle in front of them.
+    inner = _without_front_strip(_largest(room), entrance).grown(-0.47 - aisle)
+    depth, _, height = room.size("gondola")
+    upright, rows, per_row, length = max(
+        (_fill_with_gondolas(inner, upright, depth, aisle) for upright in (True, False)),
+        key=lambda filling: filling[1] * filling[2] * filling[3],
+    )
+    across, along = (inner.width, inner.depth) if upright else (inner.depth, inner.width)
+    gap = aisle if per_row * (length + aisle) - aisle <= along + 1e-6 else 0.0
+    row_distance = (across - depth) / (rows - 1) if rows > 1 else 0.0
+    count = 0
+    for row in range(rows):
+        off = depth / 2 + row * row_distance if rows > 1 else across / 2
+        for n in range(per_row):
+            at = along / 2 + (n - (per_row - 1) / 2) * (length + gap)
+            count += _put_gondola(room, inner, upright, off, at, (depth, length, height), aisle)
+    return count
+
+
+def _fill_with_gondolas(inner: Rect, upright: bool, depth: float, aisle: float) -> tuple[bool, int, int, float]:
+    """Computes rows of gondolas in a rectangle; returns ``upright``, number of rows, gondolas per row, length of each, m."""
+    across, along = (inner.width, inner.depth) if upright else (inner.depth, inner.width)
+    rows = max(0, int((across + aisle) / (depth + aisle) + 1e-6))
+    per_row = 1 if along <= 4.0 else 2
+    gap = aisle if along > 5.0 else 0.0
+    length = round(min(4.0, (along - (per_row - 1) * gap) / per_row) - 0.005, 2)
+    return upright, rows if length >= 2.0 else 0, per_row, length
+
+
+def _largest(room: FurnishedRoom) -> Rect:
+    """Returns the largest rectangle within the walls."""
+    cells = room.view.cells
+    xs, ys = sorted({x for c in cells for x in (c.x0, c.x1)}), sorted({y for c in cells for y in (c.y0, c.y1)})
+    rects = (Rect(x0, y0, x1, y1) for x0 in xs for x1 in xs for y0 in ys for y1 in ys if x0 < x1 and y0 < y1)
+    return max((r for r in rects if room.view.holds(r)), key=lambda r: r.area)
+
+
+def _put_gondola(
+    room: FurnishedRoom, inner: Rect, upright: bool, off: float, at: float, size: tuple[float, float, float], aisle: float
+) -> bool:
+    """Places one gondola, shortened if an obstacle is at its end; returns whether it fits."""
+    for length in (size[1], size[1] - 0.6, size[1] - 1.2):
+        for shift in (0.0, (size[1] - length) / 2, (length - size[1]) / 2):
+            if length < 2.0:
+                return False
+            middle = (inner.x0 + off, inner.y0 + at + shift) if upright else (inner.x0 + at + shift, inner.y0 + off)
+            item = FurnishingItem(
+                "gondola", middle, 0.0 if upright else round(math.pi / 2, 6), (size[0], round(length, 2), size[2])
+            )
+            depth = min(1.0, aisle - 0.05)
+            if room.place(
+                [item], [item.front(depth), rotated_bounds(item.point_ahead(-(size[0] + depth) / 2), item.yaw, depth, length)]
+            ):
+                return True
+    return False
+
+
+def _without_front_strip(hall: Rect, entrance: GateView) -> Rect:
+    """Returns a rectangle without a strip along the wall with the entrance."""
+    x, y = entrance.face.normal
+    return Rect(
+        hall.x0 + _FRONT_DEPTH * max(x, 0.0),
+        hall.y0 + _FRONT_DEPTH * max(y, 0.0),
+        hall.x1 + _FRONT_DEPTH * min(x, 0.0),
+        hall.y1 + _FRONT_DEPTH * min(y, 0.0),
+    )

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from gibson_sim.durations import duration_text
+from gibson_sim.quoting import duration_text
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""Mass properties of solid shapes of uniform density, for ``<inertial auto="true">``. Pure, apart from the reader of meshes."""
+"""Mass properties of solid shapes of uniform density: of spawned meshes, and for SDF's ``<inertial auto="true">``. Pure, apart from the reader of
+meshes.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.geometry.triangle_meshes import at_a_border, weld
-from gibson_sim.scenes.mesh_body import hull_mass_properties
-from gibson_sim.scenes.sdf.elements import F64
+
+F64 = NDArray[np.float64]
+_THINNEST = 1e-3
+"""Minimum side of the box that replaces the hull of flat points, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,8 +102,7 @@ def _mesh(vertices: F64, triangles: np.ndarray[tuple[int, ...], np.dtype[np.int3
     if at_a_border(corners_of, len(welded)).any():
         if np.linalg.matrix_rank(welded - welded.mean(axis=0), tol=1e-6 * float(np.ptp(welded, axis=0).max())) < 3:
             return None
-        hull = hull_mass_properties(welded)
-        return Solid(hull.volume, hull.center, hull.inertia, is_hull=True)
+        return replace(hull_solid(welded), is_hull=True)
     corners = (vertices - middle)[triangles]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
@@ -114,3 +119,33 @@ def _mesh(vertices: F64, triangles: np.ndarray[tuple[int, ...], np.dtype[np.int3
     # An inside-out surface has a negative volume.
     sign = math.copysign(1.0, volume)
     return Solid(sign * volume, middle + center, sign * inertia)
+
+
+def hull_solid(points: F64) -> Solid:
+    """Returns the convex hull of points (N, 3), metres, with a density of 1 kg/m^3; a thin box if they are coplanar or collinear."""
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return _box_solid(points)
+    if hull.volume < _THINNEST**3:
+        return _box_solid(points)
+    # Tetrahedra from an interior point to every triangle of the hull; all lie inside the hull, so their orientation does not matter.
+    interior = points[hull.vertices].mean(axis=0)
+    corners = points[hull.simplices] - interior
+    volumes = np.abs(np.linalg.det(corners)) / 6.0
+    volume = float(volumes.sum())
+    sums = corners.sum(axis=1)
+    center = (volumes[:, None] * sums).sum(axis=0) / (4.0 * volume)
+    # Second moments of a tetrahedron with corners 0, v_1, v_2, v_3: V/20 (sum of v_k v_k^T + s s^T), where s is the sum of v_k.
+    second = np.einsum("f,fki,fkj->ij", volumes, corners, corners) + np.einsum("f,fi,fj->ij", volumes, sums, sums)
+    second = second / 20.0 - volume * np.outer(center, center)
+    return Solid(volume, interior + center, np.trace(second) * np.eye(3) - second)
+
+
+def _box_solid(points: F64) -> Solid:
+    """Returns the mass properties of the axis-aligned bounding box of points (N, 3), with a density of 1 kg/m^3."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, _THINNEST)
+    volume = float(np.prod(size))
+    squares = size**2
+    return Solid(volume, (low + high) / 2.0, np.diag(volume / 12.0 * (squares.sum() - squares)))
