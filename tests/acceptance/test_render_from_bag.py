@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from sensor_msgs.msg import Image  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
-from gibson_sim.bags.export.run import export_bag  # noqa: E402
+from gibson_sim.bags.export import export_bag  # noqa: E402
 from gibson_sim.bags.reader import BagReader, image_to_array  # noqa: E402
 from gibson_sim.bags.stamps import header_stamp_ns  # noqa: E402
 from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402

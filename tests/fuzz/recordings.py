@@ -23,7 +23,7 @@ from fuzz.seeds import ROOT, yaml_text
 from fuzz.trial import Trial
 from gibson_sim.bags.check import check_bag
 from gibson_sim.bags.comparison.load import load_recording
-from gibson_sim.bags.export.run import export_bag
+from gibson_sim.bags.export import export_bag
 from gibson_sim.bags.mcap_file import COMPRESSIONS
 from gibson_sim.bags.metadata import METADATA_FILE, TopicQos, read_metadata
 from gibson_sim.bags.plots.load import load_run

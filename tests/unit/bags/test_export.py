@@ -16,9 +16,9 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
+from gibson_sim.bags.export import export_bag
 from gibson_sim.bags.export.job import ExportOptions
 from gibson_sim.bags.export.read import CameraImage, depth_in_units
-from gibson_sim.bags.export.run import export_bag
 from gibson_sim.bags.images.decode import COMPRESSED
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import EnvironmentProblemError, RecordError

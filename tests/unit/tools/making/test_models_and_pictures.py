@@ -14,11 +14,10 @@ from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, facin
 from gibson_sim_tools.making.blender.shell import door_frame, slab_edges, stair, window
 from gibson_sim_tools.making.building import Body, Building, Opening, Room, Stair, Start, Storey, Wall
 from gibson_sim_tools.making.objects.catalogue import LOOSE, OBJECTS
-from gibson_sim_tools.making.outside import outside_panorama
 from gibson_sim_tools.making.pictures import best_start, eye_camera
 from gibson_sim_tools.making.planning.objects import SIZES
 from gibson_sim_tools.making.robots.surfaces import Finish, box, write_solids
-from gibson_sim_tools.making.scene_folder import BakedMaterial, Patch, write_boxes, write_glb
+from gibson_sim_tools.making.scene_folder import BakedMaterial, Patch, outside_panorama, write_boxes, write_glb
 
 WALL = Wall((0.0, 0.0), (4.0, 0.0), 0.3, 2.5, "room", "")
 

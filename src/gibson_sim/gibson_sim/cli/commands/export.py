@@ -51,8 +51,8 @@ def add_parser(subparsers: Any) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     # Imported here, since the other sub-commands do not need image codecs.
+    from gibson_sim.bags.export import export_bag
     from gibson_sim.bags.export.job import ExportOptions
-    from gibson_sim.bags.export.run import export_bag
     from gibson_sim.bags.progress import progress_bar
 
     options = ExportOptions(
