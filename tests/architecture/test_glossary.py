@@ -100,3 +100,25 @@ def test_the_way_of_a_command_is_as_drawn(root: Path) -> None:
         source = ast.unparse(_defined(_package(root) / file)[f"{owner}.{method}"])
         if method in NEXT:
             assert NEXT[method] in source, f"{owner}.{method} does not lead to {NEXT[method]}"
+
+
+CALLS = {
+    "run": ("load_scenario", "plan_runs", "execute_runs", "_write_report"),
+    "execute_runs": ("execute_run",),
+    "execute_run": ("execute", "judge"),
+}
+"""Function of the way of a scenario -> functions further on that it, or a private function of its module, calls."""
+
+
+def test_the_way_of_a_scenario_is_as_drawn(root: Path) -> None:
+    text = (root / "ARCHITECTURE.md").read_text().split("## From a scenario to its verdict", 1)[1].split("## ", 1)[0]
+    way = {name: file for file, name in re.findall(r"^\d+\. `([\w/.]+\.py)` `([\w.]+)`", text, re.MULTILINE)}
+    assert len(way) == 9
+    for name, file in way.items():
+        found = _defined(_package(root) / file)
+        private = [node for other, node in found.items() if other.startswith("_")]
+        source = "\n".join(map(ast.unparse, (found[name], *private)))
+        for called in CALLS.get(name, ()):
+            assert called in way
+            calls = rf"(?<!def )\b{called}\(" if called != "execute_run" else r"\b_FUNCTION\b"  # by name, in a worker process
+            assert re.search(calls, source), f"{name} does not lead to {called}"

@@ -6,7 +6,9 @@ earlier values that still hold.
 
 from __future__ import annotations
 
+import hashlib
 import math
+import struct
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
@@ -17,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.comparison import topics as roles
+from gibson_sim.bags.digest_comparison import Tick, TickDigests
 from gibson_sim.bags.plots.run_data import Floor
 from gibson_sim.bags.plots.touches import Touch, TouchFinder, robot_bodies, robot_namespaces
 from gibson_sim.bags.reader import BagReader, TopicInfo
@@ -25,7 +28,6 @@ from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.standard.requests import CONTROLS
 from gibson_sim.trials.foreign_calls import TIME_CONTROL, JournalEntry
-from gibson_sim.trials.judging.digest import RunDigest
 from gibson_sim.trials.records import Outcome
 from gibson_sim.types import NS_PER_S
 
@@ -42,6 +44,8 @@ _SAME_M = 0.005
 """Greatest error, m, of an estimate that is the truth itself, published by the simulation as map -> odom."""
 _MISSED = 1.5
 """Least ratio of the time between two ticks of the bag to the usual one from which ticks are missing between them."""
+_DIGEST_SIZE = 16
+"""Size of a run's digest, bytes."""
 _LARGEST = 1e6
 """Coordinates, velocities and times above this value are damaged, SI units."""
 
@@ -151,7 +155,7 @@ class Evidence:
     calls: tuple[JournalEntry, ...]
     """Requests up to the end that changed the world or how its time passes, those before the goal included, see ``CONTROLS``."""
     digest: str
-    """See ``RunDigest``."""
+    """See ``records.RunResult.digest``."""
     first: float
     last: float
     """Times of the first and the last message up to the end, s since the goal."""
@@ -199,6 +203,47 @@ class _Rows:
     plans: list[Plan] = field(default_factory=list)
 
 
+class _RunDigest:
+    """The digest of a run, one hash of all messages that physics published; collects ``tick_digest`` messages in any order.
+
+    Equal digests mean equal runs. Digests of render nodes are ignored: the set of rendered images depends on subscribers and machine speed, and
+    their pixels depend on the graphics driver.
+    """
+
+    def __init__(self) -> None:
+        self._ticks: dict[Tick, tuple[int, tuple[tuple[str, int], ...]]] = {}
+        """Physics tick -> stamp, and the digest of each topic."""
+
+    def add(self, msg: Any) -> None:
+        """Adds a gibson_msgs/TickDigest."""
+        digests = TickDigests(header_stamp_ns(msg.header.stamp), tuple(msg.topics), msg.digests)
+        if digests.is_physics:
+            values = tuple(sorted((topic, int(digest)) for topic, digest in digests.values().items()))
+            self._ticks[int(msg.epoch), int(msg.step)] = digests.stamp_ns, values
+
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Stamps of all ticks, ns, in no particular order."""
+        return [stamp_ns for stamp_ns, _ in self._ticks.values()]
+
+    def hexdigest(self, end_ns: int) -> str:
+        """Returns the BLAKE2b hash of all ticks up to a stamp, ns, in order; empty = no ticks.
+
+        Epochs are counted from the first one, so that a run after a reset equals one in a fresh simulation.
+        """
+        ticks = sorted(tick for tick, (stamp_ns, _) in self._ticks.items() if stamp_ns <= end_ns)
+        if not ticks:
+            return ""
+        digest, first = hashlib.blake2b(digest_size=_DIGEST_SIZE), ticks[0][0]
+        for epoch, step in ticks:
+            values = self._ticks[epoch, step][1]
+            digest.update(struct.pack("<IQI", epoch - first, step, len(values)))
+            for topic, value in values:
+                name = topic.encode()
+                digest.update(struct.pack("<I", len(name)) + name + struct.pack("<Q", value))
+        return digest.hexdigest()
+
+
 class _Reading:
     """One pass over a bag."""
 
@@ -227,7 +272,7 @@ class _Reading:
         self._map: Any = None
         self._map_frame = "map"
         self._rows = _Rows()
-        self._digest = RunDigest()
+        self._digest = _RunDigest()
         self._counted = set(counted) & set(infos)
         self._counts: Counter[str] = Counter({topic: 0 for topic in self._counted})
         self._first_ns, self._last_ns = bag.span_ns[0], min(bag.span_ns[1], self._end_ns)
