@@ -56,7 +56,7 @@ class Ground:
         camera = self.robot.cameras[0]
         return math.atan(math.tan(camera.fov_y / 2.0) * camera.width / camera.height)
 
-    def sees(self, base: Pose, points: ArrayLike, reach: float = SIGHT) -> Bools:
+    def sees(self, base: Pose, points: ArrayLike, sight: float = SIGHT) -> Bools:
         """Returns a mask, (N,), of the points (N, 2), world frame, metres, in the field of view, in range and not occluded by static obstacles."""
         x, y = base.position[:2]
         targets = np.asarray(points, dtype=np.float64).reshape(-1, 2)
@@ -64,7 +64,7 @@ class Ground:
         distances = np.linalg.norm(offsets, axis=1)
         bearings = np.arctan2(offsets[:, 1], offsets[:, 0]) - yaw_from_quat(base.quat_xyzw)
         bearings = np.abs((bearings + math.pi) % (2.0 * math.pi) - math.pi)
-        out = np.asarray((distances <= reach) & (bearings <= self.half_view))
+        out = np.asarray((distances <= sight) & (bearings <= self.half_view))
         out[out] = self._clear(np.array([x, y]), targets[out])
         return out
 
