@@ -106,8 +106,8 @@ class LockstepGate:
         """
         self._stamped = stamped
         if stamped is not None:
-            self._second_subscription = stamped.create_subscription(
-                TickDone, names.TICK_DONE, qos.TICK_DONE, lambda msg: self._joined_second.add(msg.participant)
+            self._second_subscription = stamped.subscribe(
+                TickDone, names.TICK_DONE, lambda msg: self._joined_second.add(msg.participant), qos.TICK_DONE
             )
         self._node.create_subscription(TickDone, names.TICK_DONE, self._on_tick_done, qos.TICK_DONE, raw=True)
 
@@ -124,24 +124,17 @@ class LockstepGate:
         """Handles the arrival of a command, and calls ``on_open`` if the tick waited only for it."""
         self._receive(topic.lstrip("/"))
 
-    def count_command(self, topic: str) -> None:
-        """Handles the arrival of a command without a call of ``on_open``: the caller checks itself whether the gate is open."""
-        self._count(topic.lstrip("/"))
-
     def _receive(self, topic: str) -> None:
         """Handles the arrival of a possible answer, given the topic without its leading slash."""
         was_open = self.core.is_open
-        self._count(topic)
-        if self.core.is_open and not was_open:
-            self._on_open()
-
-    def _count(self, topic: str) -> None:
         for name in self.core.receive(topic, time.monotonic_ns()):
             self.timeouts += 1
             self._node.get_logger().warning(
                 f"lockstep: {quoted(name)} sends again on {topic}: it was slow, or waited for time to pass, not idle; "
                 "the run is not repeatable"
             )
+        if self.core.is_open and not was_open:
+            self._on_open()
 
     def reset(self) -> None:
         """Discards the present tick: the simulation was reset."""

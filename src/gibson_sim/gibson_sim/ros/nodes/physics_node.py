@@ -220,10 +220,10 @@ class PhysicsNode(Node):
         executor = make_executor()
         for node in (self, *others):
             executor.add_node(node)
+        if self._stamped is not None:
+            self._stamped.start(executor)
         self._wait_for_subscribers(executor)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        if self._gate is not None and self._stamped is not None:
-            self._stamped.on_arrival = partial(executor.create_task, self._on_gate_open)
         self._set_timer()
         self.create_timer(1.0, self._report, clock=steady)
         assert self._guard is not None, "it was acquired in the constructor"
@@ -275,9 +275,6 @@ class PhysicsNode(Node):
         if not self._announced and (gate is None or not gate.core.missing):
             self._announced = True
             note_in_job(READY, "")
-        if gate is not None and self._stamped is not None:
-            for topic in self._stamped.pop_arrived():
-                gate.count_command(topic)
         if (gate is None or gate.may_step()) and (images is None or images.may_step()):
             # Not while a tick waits: a renderer that already has the next scene could not draw the tick.
             self._publish_changes()

@@ -104,7 +104,8 @@ class RobotInterface:
         self.command_topics = base_topics | self._arms.command_topics
         self._stamped = stamped
         if stamped is not None:
-            self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._received_commands)
+            on_command = partial(self._on_command, self._resolved(names.CMD_VEL))
+            self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), on_command, qos.COMMAND)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
         self._imus: dict[str, FastImu] = {}
         self._rows_revision = -1

@@ -4,31 +4,33 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from threading import Thread
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from gibson_sim.ros.topics import qos
-
 
 class StampedCommands:
-    """Queues the messages of topics that the owner's context uses with another type.
+    """Subscribes a node to topics that its own context uses with another type.
 
-    A DDS participant cannot have one topic with two types, so this is a second context with its own thread. The thread only queues messages;
-    only the main thread accesses the world.
+    A DDS participant cannot have one topic with two types, so this is a second context with its own thread. That thread calls no callback: it
+    hands each message to the executor of the node, which calls the callback in the node's thread. A command therefore has the same way in,
+    whatever its type, and arrives between two iterations of the node's loop.
     """
 
     def __init__(self, node: Node) -> None:
+        """Creates the context; callbacks are called from ``start`` on."""
         self._owner = node
-        self._arrived: deque[str] = deque()
+        self._arrived: deque[tuple[Callable[[Any], None], Any]] = deque()
+        """Callback and message of each message that was not delivered yet."""
+        self._wake: Callable[[], Any] = lambda: None
+        """Lets the node's executor call ``_deliver``; thread-safe."""
         self.types: dict[str, type[Any]] = {}
         """Resolved topic -> message type in this context, for all topics of ``subscribe``."""
-        self.on_arrival: Callable[[], Any] = lambda: None
-        """Called in this class's thread after each message."""
         self._context = rclpy.Context()
         self._context.init(domain_id=node.context.get_domain_id())
         self._node = Node(
@@ -43,25 +45,27 @@ class StampedCommands:
         self._thread = Thread(target=self._spin, name="stamped-commands", daemon=True)
         self._thread.start()
 
-    def subscribe(self, kind: type[Any], topic: str, commands: deque[tuple[str, Any]]) -> Any:
-        """Returns a subscription to a topic of the owner that appends (topic, message) to ``commands``."""
+    def subscribe(self, kind: type[Any], topic: str, callback: Callable[[Any], None], profile: QoSProfile) -> Any:
+        """Returns a subscription to a topic of the owner; the owner's executor calls ``callback`` with each message, in the order of arrival."""
         topic = self._owner.resolve_topic_name(topic)
         self.types[topic] = kind
+        return self._node.create_subscription(kind, topic, partial(self._hand_over, callback), profile)
 
-        def receive(msg: Any) -> None:
-            commands.append((topic, msg))
-            self._arrived.append(topic)
-            self.on_arrival()
+    def start(self, executor: Executor) -> None:
+        """Delivers messages in an executor of the owner from now on, beginning with those that have arrived already."""
+        self._wake = partial(executor.create_task, self._deliver)
+        self._wake()
 
-        return self._node.create_subscription(kind, topic, receive, qos.COMMAND)
+    def _hand_over(self, callback: Callable[[Any], None], msg: Any) -> None:
+        """Queues a message for the owner. Called by the thread of this context."""
+        self._arrived.append((callback, msg))
+        self._wake()
 
-    def create_subscription(self, kind: type[Any], topic: str, profile: QoSProfile, callback: Callable[[Any], None]) -> Any:
-        """Returns a subscription to a topic of the owner whose callback runs in this class's thread."""
-        return self._node.create_subscription(kind, self._owner.resolve_topic_name(topic), callback, profile)
-
-    def pop_arrived(self) -> list[str]:
-        """Returns the topic of each message that arrived since the last call. Called by the main thread."""
-        return [self._arrived.popleft() for _ in range(len(self._arrived))]
+    def _deliver(self) -> None:
+        """Calls the callbacks of all messages that have arrived. Called by the owner's executor."""
+        while self._arrived:
+            callback, msg = self._arrived.popleft()
+            callback(msg)
 
     def unsubscribe(self, subscription: Any) -> None:
         """Ends a subscription."""
