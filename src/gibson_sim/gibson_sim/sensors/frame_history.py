@@ -8,25 +8,7 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.exposures import needs_previous
 from gibson_sim.render.readback.pixel_buffers import PendingFrames
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.types import CameraSpec, Frame, SceneState
-
-
-class PendingFrameSet:
-    """Frames that are being drawn and read back, in sets with different previous states.
-
-    Args:
-        parts: frames of each set, and their positions in the result.
-    """
-
-    def __init__(self, parts: Sequence[tuple[PendingFrames, Sequence[int]]]) -> None:
-        self._parts = parts
-
-    def result(self) -> list[Frame]:
-        """Returns the frames in the order of the cameras; waits for the GPU the first time."""
-        frames: dict[int, Frame] = {}
-        for pending, numbers in self._parts:
-            frames.update(zip(numbers, pending.result(), strict=True))
-        return [frames[number] for number in sorted(frames)]
+from gibson_sim.types import CameraSpec, SceneState
 
 
 class FrameHistory:
@@ -40,8 +22,11 @@ class FrameHistory:
         self._renderer = renderer
         self._previous: dict[str, SceneState] = {}
 
-    def start(self, state: SceneState, cameras: Sequence[CameraSpec]) -> PendingFrameSet:
-        """Starts rendering without waiting: start the next frames before calling ``result``. For errors see ``Renderer.render``."""
+    def start(self, state: SceneState, cameras: Sequence[CameraSpec]) -> PendingFrames:
+        """Starts rendering without waiting: start the next frames before calling ``result``, which returns them in the order of the cameras.
+
+        For errors see ``Renderer.render``.
+        """
         by_previous: dict[int, tuple[SceneState | None, list[int]]] = {}
         for number, camera in enumerate(cameras):
             previous = self._previous.get(camera.name) if needs_previous(camera) else None
@@ -50,14 +35,14 @@ class FrameHistory:
             by_previous.setdefault(id(previous), (previous, []))[1].append(number)
         parts: list[tuple[PendingFrames, Sequence[int]]] = []
         try:
-            for previous, numbers in by_previous.values():
+            for previous, numbers in by_previous.values() or [(None, [])]:
                 parts.append((self._renderer.start(state, [cameras[number] for number in numbers], previous), numbers))
         except GibsonSimError:
             for pending, _ in parts:
                 pending.discard()
             raise
         self.note(state, cameras)
-        return PendingFrameSet(parts)
+        return PendingFrames.joined(parts)
 
     def note(self, state: SceneState, cameras: Sequence[CameraSpec]) -> None:
         """Records a state, drawn or not, as the previous state of cameras: the motion in their next frames starts at it."""

@@ -231,6 +231,20 @@ class PendingFrames:
         self._context, self._buffers, self._reads = context, buffers, tuple(reads)
         self._frames: list[Frame] | None = None
 
+    @classmethod
+    def joined(cls, parts: Sequence[tuple[PendingFrames, Sequence[int]]]) -> PendingFrames:
+        """Returns frames of one renderer that were started one after the other as one; they are read through the result only.
+
+        Args:
+            parts: at least one: frames, and the position of each in the result.
+        """
+        reads = [
+            (request, images, [positions[k] for k in numbers])
+            for pending, positions in parts
+            for request, images, numbers in pending._reads
+        ]
+        return cls(parts[0][0]._context, parts[0][0]._buffers, reads)
+
     def done(self) -> bool:
         """Returns whether ``result`` would return without waiting."""
         self._context.make_current()

@@ -94,17 +94,24 @@ class PhysicsNode(Node):
         self._world_topics = WorldInterface(self, config, rules)
         self._robots: dict[str, RobotInterface] = {}
         self._objects = ObjectJoints(self, config, self._on_command_received)
-        self._ticks = TickPublisher(self, config, self._simulator, self._robots, self._world_topics, self._objects, self._digests)
         self._gate: LockstepGate | None = None
-        if config.lockstep:
-            self._ticks.gate = self._gate = LockstepGate(
-                self, config, self._on_gate_open, self._ticks.publish_again, self._is_command
-            )
         self._images: ImageGate | None = None
-        if config.image_timeout and not config.lockstep:
-            self._ticks.images = self._images = ImageGate(
-                self, config.image_timeout, self._on_gate_open, self._ticks.publish_again
-            )
+        if config.lockstep:
+            self._gate = LockstepGate(self, config, self._on_gate_open, self._publish_again, self._is_command)
+        elif config.image_timeout:
+            self._images = ImageGate(self, config.image_timeout, self._on_gate_open, self._publish_again)
+        self._ticks = TickPublisher(
+            self,
+            config,
+            self._simulator,
+            self._robots,
+            self._world_topics,
+            self._objects,
+            self._digests,
+            self._gate,
+            self._images,
+        )
+        if self._images is not None:
             self._images.enable(config.rate == 0.0)
         self._stats = PhysicsStats(self, config, self._simulator, self._pacer, self._journal, self._gate)
         self._published: tuple[PhysicsWorld | None, int] = (None, -1)
@@ -333,6 +340,10 @@ class PhysicsNode(Node):
         """Executes the next tick now, without waiting for the timer."""
         if self._timer is not None and not self._done:
             self._iterate()
+
+    def _publish_again(self, whole_tick: bool) -> None:
+        """Republishes the scene state, or the whole present tick, for a node that a gate waits for."""
+        self._ticks.publish_again(whole_tick)
 
     def _on_command_received(self, topic: str) -> None:
         """Reports the arrival of a command to the lockstep gate, which may wait for it."""

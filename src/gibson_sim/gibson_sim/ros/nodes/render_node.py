@@ -21,6 +21,7 @@ from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.processes.job_folder import STATUS, note_in_job
 from gibson_sim.quoting import quoted
 from gibson_sim.render.context import open_context
+from gibson_sim.render.readback.pixel_buffers import PendingFrames
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
@@ -30,12 +31,12 @@ from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.nodes.render_stats import LoadingProgress, RenderStats
 from gibson_sim.ros.nodes.renderer_factory import device_of, open_renderer
 from gibson_sim.ros.topics import names, qos
-from gibson_sim.ros.topics.camera_publisher import REGISTERED, CameraPublisher
+from gibson_sim.ros.topics.camera_messages import REGISTERED, CameraPublisher
 from gibson_sim.ros.topics.discovery import wait_until_acknowledged
 from gibson_sim.ros.topics.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
-from gibson_sim.sensors.frame_history import FrameHistory, PendingFrameSet
+from gibson_sim.sensors.frame_history import FrameHistory
 from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import NS_PER_S, CameraSpec, Frame, SceneState as State
 
@@ -350,7 +351,7 @@ class RenderNode(Node):
     def _render(self, state: State, specs: Mapping[int, CameraSpec]) -> dict[int, Frame]:
         """Renders cameras; returns the frames by index, without those of cameras that failed, of which it warns."""
         assert self._frame_history is not None
-        pending: list[tuple[list[int], PendingFrameSet]] = []
+        pending: list[tuple[list[int], PendingFrames]] = []
         frames: dict[int, Frame] = {}
         failures: dict[str, list[int]] = {}
         for group in _groups(specs):

@@ -33,6 +33,7 @@ from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.maps.floor_extent import extent_of_drawn
 from gibson_sim.quoting import quoted
+from gibson_sim.render.readback.pixel_buffers import PendingFrames
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.resources import find_config
 from gibson_sim.ros import conversions
@@ -51,7 +52,7 @@ from gibson_sim.scenes.randomise import Rules, load_rules, randomise
 from gibson_sim.scenes.scene_yaml import read_scene_yaml
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.scenes.views import FloorExtent, View, Views
-from gibson_sim.sensors.frame_history import FrameHistory, PendingFrameSet
+from gibson_sim.sensors.frame_history import FrameHistory
 from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
 logger = logging.getLogger(__name__)
@@ -139,7 +140,7 @@ class _Rendering:
         self._view_transforms = ViewTransforms()
         self._schedule = CameraSchedule(state_period_ns(bag, self._topics.state), interpolate=job.interpolate)
         self._due_as_recorded = not (job.cameras or self._requested_views or job.rate or job.interpolate)
-        self._pending: _PendingFrames | None = None
+        self._pending: _UnwrittenFrames | None = None
         self._after_pending: list[Item] = []
         """Items to write after the pending frames."""
         self._images = self._outputs = self._skipped = 0
@@ -367,7 +368,7 @@ class _Rendering:
             for m in messages
         ]  # fmt: skip
         self._write_pending(queue)
-        self._pending = _PendingFrames(frames, messages, targets, log_ns)
+        self._pending = _UnwrittenFrames(frames, messages, targets, log_ns)
 
     def __enter__(self) -> _Rendering:
         return self
@@ -378,10 +379,10 @@ class _Rendering:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PendingFrames:
-    """Frames that are being rendered."""
+class _UnwrittenFrames:
+    """Frames that are being rendered, and how they are written to the bag."""
 
-    frames: PendingFrameSet
+    frames: PendingFrames
     messages: list[CameraMessages]
     """Messages of the camera of each frame."""
     T_target_cameras: list[Mat4 | None]

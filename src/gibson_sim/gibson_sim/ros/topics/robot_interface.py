@@ -33,6 +33,9 @@ from gibson_sim.sensors.imu import ImuReading
 from gibson_sim.sensors.suite import Measurements, SensorSuite
 from gibson_sim.types import WORLD_FRAME, SceneState
 
+Published = list[tuple[Publisher, bytes]]
+"""Serialized messages, each with the publisher that has sent it."""
+
 
 class RobotInterface:
     """Applies the commands of a robot, and publishes its state and measurements. All names are relative to its namespace.
@@ -85,7 +88,6 @@ class RobotInterface:
         self._received_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MAX_COMMANDS)
         self._due_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MAX_COMMANDS)
         self._applied: list[TwistStamped] = []
-        self._last_state: list[tuple[Publisher, bytes]] = []
         self._on_received = on_received
         self._subscriptions = [
             node.create_subscription(kind, self._topic(name), partial(self._on_command, self._resolved(name)), qos.COMMAND)
@@ -228,38 +230,45 @@ class RobotInterface:
         for command in commands:
             self._applied_pub.publish(command)
 
-    def publish_odometry(self, world: PhysicsWorld) -> None:
-        """Publishes the wheel odometry, which does not need the scene state."""
-        self._last_state = []
+    def publish_odometry(self, world: PhysicsWorld) -> Published:
+        """Publishes the wheel odometry, which does not need the scene state; returns what was published."""
         if not self._odom_pub.get_subscription_count():
-            return
+            return []
         odometry = world.odometry(self.robot.name)
         pose = conversions.odometry_pose(odometry)
         twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
         covariances = map(conversions.planar_covariance, world.odometry_covariance(self.robot.name))
         message = self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist, *covariances)
-        self._publish_state(self._odom_pub, message)
+        return _publish(self._odom_pub, message)
 
-    def publish_transforms(self, world: PhysicsWorld, state: SceneState) -> None:
-        """Publishes the transforms with the stamp of the state; called after ``publish_odometry`` of the same step."""
-        if self._tf_pub.get_subscription_count():
-            self._publish_state(self._tf_pub, self._tf.serialize(state.stamp_ns, self._transforms(world, state)))
+    def publish_transforms(self, world: PhysicsWorld, state: SceneState) -> Published:
+        """Publishes the transforms with the stamp of the state; returns what was published."""
+        if not self._tf_pub.get_subscription_count():
+            return []
+        return _publish(self._tf_pub, self._tf.serialize(state.stamp_ns, self._transforms(world, state)))
 
-    def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
-        """Publishes ground truth, joint states and arm states with the stamp of the state, and adds them to ``digests``."""
+    def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> Published:
+        """Publishes ground truth, joint states and arm states with the stamp of the state, and adds them to ``digests``.
+
+        Returns:
+            What was published, without the arm states.
+        """
         name, stamp = self.robot.name, state.stamp_ns
+        published: Published = []
         if digests is not None or self._truth_pub.get_subscription_count():
             base, (linear, angular) = world.base_pose(name), world.base_twist(name)
-            self._publish_state(self._truth_pub, self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular))
+            truth = self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular)
+            published += _publish(self._truth_pub, truth)
             if digests is not None:
                 digests.add(self._topic(names.ODOM), world.odometry(name))
                 digests.add(self._topic(names.GROUND_TRUTH), base, linear, angular)
         if digests is not None or self._joints_pub.get_subscription_count():
             joints = world.joint_states(name)
-            self._publish_state(self._joints_pub, self._joints.serialize(stamp, joints))
+            published += _publish(self._joints_pub, self._joints.serialize(stamp, joints))
             if digests is not None:
                 digests.add(self._topic(names.JOINT_STATES), joints)
         self._arms.publish(world, digests)
+        return published
 
     def _transforms(self, world: PhysicsWorld, state: SceneState) -> list[Sequence[float]]:
         """Returns the poses for ``tf``, (x, y, z, qx, qy, qz, qw) each: T_odom_base, moving joints, and T_map_odom if it is enabled."""
@@ -275,15 +284,6 @@ class RobotInterface:
             T_map_odom = pose_from_matrix(base @ invert(matrix_from_pose(odom_pose)))
             poses.append((*T_map_odom.position, *T_map_odom.quat_xyzw))
         return poses
-
-    def _publish_state(self, publisher: Publisher, message: bytes) -> None:
-        publisher.publish(message)
-        self._last_state.append((publisher, message))
-
-    def publish_state_again(self) -> None:
-        """Republishes the odometry and state of the last tick."""
-        for publisher, message in self._last_state:
-            publisher.publish(message)
 
     def _lay_out_messages(self) -> None:
         """Prepares the serializers of messages with a fixed layout."""
@@ -364,3 +364,8 @@ class RobotInterface:
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
         self._publishers, self._subscriptions = [], []
+
+
+def _publish(publisher: Publisher, message: bytes) -> Published:
+    publisher.publish(message)
+    return [(publisher, message)]

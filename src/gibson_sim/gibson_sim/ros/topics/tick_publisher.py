@@ -19,7 +19,7 @@ from gibson_sim.ros.lockstep.image_gate import ImageGate
 from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.object_joints import ObjectJoints
-from gibson_sim.ros.topics.robot_interface import RobotInterface
+from gibson_sim.ros.topics.robot_interface import Published, RobotInterface
 from gibson_sim.ros.topics.world_interface import WorldInterface
 from gibson_sim.ros.wire.fast_publish import FastClock
 from gibson_sim.sensors.schedule import is_due
@@ -50,14 +50,24 @@ class TickPublisher:
         world_topics: WorldInterface,
         objects: ObjectJoints,
         digests: DigestPublisher | None,
+        gate: LockstepGate | None,
+        images: ImageGate | None,
     ) -> None:
-        """Creates the publisher of /clock; ``robots`` may change, and is read at every step."""
-        self.gate: LockstepGate | None = None
-        """Gate to close at every tick; None = no lockstep."""
-        self.images: ImageGate | None = None
-        """Gate to close at every tick with due cameras; None = no such gate."""
+        """Creates the publisher of /clock.
+
+        Args:
+            node: the physics node.
+            config: settings of the node.
+            simulator: simulator of the world.
+            robots: robot -> its topics; it may change, and is read at every step.
+            world_topics: topics of the world.
+            objects: joints of bodies.
+            digests: publisher of digests; None = none are published.
+            gate: gate to close at every tick; None = no lockstep.
+            images: gate to close at every tick with due cameras; None = no such gate.
+        """
         self._config, self._simulator, self._robots, self._world_topics = config, simulator, robots, world_topics
-        self._digests = digests
+        self._digests, self._gate, self._images = digests, gate, images
         self._objects, self._contacts = objects, ContactsPublisher(node, config)
         self._clock_message = FastClock()
         self._clock_pub = node.create_publisher(ClockMsg, names.CLOCK, **qos.overridable(qos.CLOCK))
@@ -65,6 +75,8 @@ class TickPublisher:
         """Stamp of the last /clock, ns."""
         self._held: list[tuple[_Step, _Measured]] = []
         self._last_measured: _Measured = {}
+        self._last_states: dict[RobotInterface, Published] = {}
+        """Odometry, transforms and states of each robot at the last tick."""
 
     def publish_clock(self, stamp_ns: int) -> None:
         """Publishes /clock."""
@@ -107,9 +119,10 @@ class TickPublisher:
         """Republishes the scene state, or the whole present tick."""
         if whole_tick:
             for name, measured in self._last_measured.items():
-                if name in self._robots:
-                    self._robots[name].publish_state_again()
-                    self._robots[name].publish_sensors(measured)
+                if (robot := self._robots.get(name)) is not None:
+                    for publisher, message in self._last_states.get(robot, ()):
+                        publisher.publish(message)
+                    robot.publish_sensors(measured)
         self._world_topics.publish_state_again()
 
     def _step(self, world: PhysicsWorld) -> _Step:
@@ -129,19 +142,18 @@ class TickPublisher:
         self.publish_clock(world.stamp_ns)
         due = self._world_topics.due(tick)
         # Odometry and transforms first, since controllers need them: a small image follows within a millisecond of the scene state.
-        for robot in self._robots.values():
-            robot.publish_odometry(world)
+        published = self._last_states = {robot: robot.publish_odometry(world) for robot in self._robots.values()}
         # All links are read once, here; the sensors that are due at this step use the same state.
         state = world.state()
-        for robot in self._robots.values():
-            robot.publish_transforms(world, state)
+        for robot, messages in published.items():
+            messages += robot.publish_transforms(world, state)
         self._world_topics.publish_state(state, due, simulator.epoch, simulator.epoch_step)
-        for robot in self._robots.values():
-            robot.publish_state(world, state, self._digests)
+        for robot, messages in published.items():
+            messages += robot.publish_state(world, state, self._digests)
         self._objects.publish(world, tick)
         self._contacts.publish(world, tick)
-        if self.images is not None:
-            self.images.begin_tick(world.stamp_ns, self._world_topics.cameras, due)
+        if self._images is not None:
+            self._images.begin_tick(world.stamp_ns, self._world_topics.cameras, due)
         return state, tuple(self._world_topics.cameras[i] for i in due)
 
     def _publish_rest(self, step: _Step, measured: _Measured, begun: tuple[SceneState, tuple[CameraSpec, ...]] | None) -> None:
@@ -162,8 +174,8 @@ class TickPublisher:
             self._digests.add(names.SCENE_STATE, state.links, state.positions, state.quats_xyzw, state.twists)
             self._digests.publish(state.stamp_ns, self._simulator.epoch, self._simulator.epoch_step)
         self._last_measured = measured
-        if self.gate is not None:
-            self.gate.begin_tick(state.stamp_ns, partial(self._topics_of_tick, due, measured))
+        if self._gate is not None:
+            self._gate.begin_tick(state.stamp_ns, partial(self._topics_of_tick, due, measured))
 
     def _topics_of_tick(self, due: tuple[CameraSpec, ...], measured: _Measured) -> set[str]:
         """Returns all topics that are published at a tick, including images, without leading slashes."""
