@@ -25,18 +25,12 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo
-from simulation_interfaces.msg import SimulationState
-from simulation_interfaces.srv import (
-    DeleteEntity,
-    GetSimulationState,
-    ResetSimulation,
-    SetEntityState,
-    SetSimulationState,
-    SpawnEntity,
-)
+from simulation_interfaces.srv import GetSimulationState
 from std_msgs.msg import Bool, String
 
 from gibson_path_following.paths.path_folder import load_path
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.ros.client.simulation_client import SimulationClient, flat_pose, move_request, spawn_request
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.trials.execution.walking import person_pose, person_urdf
 from gibson_sim.trials.records import Person
@@ -138,7 +132,8 @@ class Simulation:
                 partial(self._infos.__setitem__, name),
                 qos_profile_sensor_data,
             )
-        self._state = self.node.create_client(GetSimulationState, "get_simulation_state")
+        self.services = SimulationClient(self.node, lambda condition, awaited: self.spin_until(condition, str(awaited)))
+        self.services.prepare("get_simulation_state")
         self._first = names[0]
         self._policies: dict[str, float | None] = {}
         """Robots whose policies time waits for -> time of the first image that the policy used, seconds; None = not yet."""
@@ -203,7 +198,7 @@ class Simulation:
             if self._policies[robot] is None:
                 self._policies[robot] = self.trace[robot][-1][0]
             # The command reaches the simulation before this request does: its subscriptions are served before its services.
-            self._state.call_async(GetSimulationState.Request()).add_done_callback(lambda _: self._finish(robot))
+            self.services.begin("get_simulation_state", GetSimulationState.Request(), lambda _: self._finish(robot))
 
     def _on_state(self, robot: str, msg: String) -> None:
         if msg.data == "finished":
@@ -238,17 +233,10 @@ class Simulation:
             if self.process.poll() is not None or time.monotonic() > deadline:
                 sys.exit(f"error: the simulation gave no {what}; see {self.log}")
 
-    def call(self, name: str, kind: Any, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        self.spin_until(client.service_is_ready, name)
-        future = client.call_async(request)
-        self.spin_until(future.done, f"answer of {name}")
-        return future.result()
-
     def reset(self) -> None:
         """Resets the simulation, and pauses it at time 0."""
-        self._set_state(SimulationState.STATE_PAUSED)
-        self.call("reset_simulation", ResetSimulation, ResetSimulation.Request())
+        self.services.pause()
+        self.services.reset()
 
     def play(self, robots: Collection[str], is_ready: Callable[[], bool], camera: str) -> None:
         """Starts time at 0 once the nodes of the robots are ready and discovered.
@@ -271,7 +259,7 @@ class Simulation:
             publisher.publish(self._infos[robot])
         for trace in self.trace.values():
             trace.clear()
-        self._set_state(SimulationState.STATE_PLAYING)
+        self.services.play()
         self.spin_until(lambda: all(self.trace.values()), "a pose of each robot")
         for publisher in publishers.values():
             self.node.destroy_publisher(publisher)
@@ -286,10 +274,6 @@ class Simulation:
             (self.node.count_publishers, "cmd_vel", 2),
         )
         return all(count(f"/{robot}/{topic}".replace("//", "/")) >= least for robot in robots for count, topic, least in counts)
-
-    def _set_state(self, state: int) -> None:
-        request = SetSimulationState.Request(state=SimulationState(state=state))
-        self.call("set_simulation_state", SetSimulationState, request)
 
     def close(self) -> None:
         self.node.destroy_node()
@@ -336,18 +320,13 @@ class Walker:
         self._place = far[0]
         self.nearest = math.inf
         """Least distance between the centres of robot and person so far, metres."""
-        request = SpawnEntity.Request(name="person", allow_renaming=False)
-        (request.entity_resource if hasattr(request, "entity_resource") else request).resource_string = person_urdf(self._person)
-        self._put(request.initial_pose, *far[0])
-        answer = simulation.call("spawn_entity", SpawnEntity, request)
-        if answer.result.result != answer.result.RESULT_OK:
-            sys.exit(f"error: {answer.result.error_message}")
-        self._move = simulation.node.create_client(SetEntityState, "set_entity_state")
-        simulation.spin_until(self._move.service_is_ready, "service set_entity_state")
-
-    def _put(self, target: Any, x: float, y: float) -> None:
-        target.header.frame_id = "map"
-        target.pose.position.x, target.pose.position.y = x, y
+        try:
+            simulation.services.ask(
+                "spawn_entity", spawn_request(flat_pose(*far[0], 0.0, 0.0), "person", text=person_urdf(self._person))
+            )
+        except GibsonSimError as error:
+            sys.exit(f"error: {error}")
+        simulation.services.discover("set_entity_state")
 
     def step(self) -> Any:
         """Measures the distance to the robot and moves the person; returns the future of that, or None if they stand still."""
@@ -364,18 +343,11 @@ class Walker:
         if (x, y) == self._place:
             return None
         self._place = x, y
-        request = SetEntityState.Request(entity="person")
-        request.state.header.frame_id = "map"
-        request.state.pose.position.x, request.state.pose.position.y = x, y
-        request.state.pose.orientation.w = 1.0
-        for flag in ("set_pose", "set_twist"):
-            if hasattr(request, flag):
-                setattr(request, flag, True)
-        return self._move.call_async(request)
+        return self._simulation.services.send("set_entity_state", move_request("person", flat_pose(x, y, 0.0, 0.0)))
 
     def close(self) -> None:
         self._simulation.walker = None
-        self._simulation.call("delete_entity", DeleteEntity, DeleteEntity.Request(entity="person"))
+        self._simulation.services.delete("person")
 
 
 def follow(simulation: Simulation, out: Path, name: str, paths: dict[str, Path], backend: str) -> bool:

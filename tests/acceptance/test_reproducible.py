@@ -19,7 +19,7 @@ from support.simulation import Launched, Listener, new_context, require
 
 require("rclpy", "gibson_msgs", "simulation_interfaces")
 
-from support.clients import Control  # noqa: E402
+from support.clients import client_of  # noqa: E402
 from support.lockstep import NAME, Controller, Digests  # noqa: E402
 from support.robots import GIBSON_BOT, write_gibson_bot  # noqa: E402
 
@@ -70,7 +70,7 @@ def _run(robot: Path, *options: str, lockstep: bool = True, resets: int = 0) -> 
     try:
         launched.wait_for_line("triangles")
         controller = Controller(listener, images=IMAGES, takes_part=lockstep)
-        control = Control(listener)
+        control = client_of(listener)
         for epoch in range(resets + 1):
             # The last tick with its image. What runs free may have passed it before this process heard of it.
             last = {(epoch, TICKS * STEPS_A_TICK, topic) for topic in ("/scene_state", f"/{IMAGES[0]}")}

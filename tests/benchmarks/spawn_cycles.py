@@ -140,6 +140,8 @@ class Run:
     """The simulation, and a client of it."""
 
     def __init__(self, folder: Path, seed: int) -> None:
+        from support.clients import client_of
+
         (folder / "yard").mkdir()
         (folder / "yard" / "scene.yaml").write_text(SCENE)
         (folder / "views.yaml").write_text(VIEWS)
@@ -151,7 +153,7 @@ class Run:
         self.listener = Listener(self.context)
         self.things, self.alive = things(folder, np.random.default_rng(seed)), deque[Thing]()
         self.figures = Figures()
-        self._clients: dict[str, Any] = {}
+        self._services = client_of(self.listener)
         self._images: deque[Any] = deque(maxlen=30)
         self._names: dict[int, str] = {}
         self._T_map_camera: Mat4 | None = None
@@ -190,45 +192,31 @@ class Run:
         node.create_subscription(CameraInfo, f"{CAMERA}/instance/camera_info", on_info, 5)
         node.create_subscription(TFMessage, "/tf", on_transforms, 10)
 
-    def call(self, kind: str, **fields: Any) -> Any:
-        """Returns the response of a service of simulation_interfaces, whose result must be good."""
-        from simulation_interfaces import srv
-
-        service = getattr(srv, "".join(word.capitalize() for word in kind.split("_")))
-        if kind not in self._clients:
-            self._clients[kind] = self.listener.node.create_client(service, kind)
-            self.listener.spin_until(self._clients[kind].service_is_ready, kind)
-        future = self._clients[kind].call_async(service.Request(**fields))
-        self.listener.spin_until(future.done, f"answer of {kind}")
-        response = future.result()
-        assert response.result.result == response.result.RESULT_OK, f"{kind}: {response.result.error_message}"
-        return response
-
     def cycle(self) -> None:
         """Spawns the next thing and deletes the oldest."""
         from geometry_msgs.msg import Point, Pose as PoseMessage, PoseStamped, Quaternion
 
         thing = next(self.things)
         if len(self.alive) == len(PLACES):
-            self.call("delete_entity", entity=self.alive.popleft().name)
+            self._services.ask("delete_entity", entity=self.alive.popleft().name)
         x, y, z = thing.place
         turn = Quaternion(z=math.sin(thing.yaw / 2), w=math.cos(thing.yaw / 2))
         start = PoseStamped(pose=PoseMessage(position=Point(x=x, y=y, z=z), orientation=turn))
         fields = {"entity_namespace": thing.name} if thing.is_robot else {}
-        self.call("spawn_entity", name=thing.name, uri=thing.uri, resource_string=thing.text, initial_pose=start, **fields)
+        self._services.ask(
+            "spawn_entity", name=thing.name, uri=thing.uri, resource_string=thing.text, initial_pose=start, **fields
+        )
         self.alive.append(thing)
 
     def compare(self) -> None:
         """Stops time, and compares the next image with what physics says; lets time go on."""
-        from simulation_interfaces.msg import SimulationState
-
         from support.clients import stamp_ns, step_of
 
-        self.call("set_simulation_state", state=SimulationState(state=SimulationState.STATE_PAUSED))
-        now = step_of(stamp_ns(self.call("get_entity_state", entity=self.alive[0].name).state))
+        self._services.pause()
+        now = step_of(stamp_ns(self._services.ask("get_entity_state", entity=self.alive[0].name).state))
         # The image after the next one, so that it was drawn after all that was asked for.
         target = (now // STEPS_PER_IMAGE + 2) * STEPS_PER_IMAGE
-        self.call("step_simulation", steps=target - now)
+        self._services.step(target - now)
         masks = self._masks()
         self.listener.spin_until(lambda: any(step_of(stamp_ns(image)) == target for image in self._images), "the image")
         wanted = {thing.name for thing in self.alive}
@@ -246,7 +234,7 @@ class Run:
                     what = next(thing.uri or "box" for thing in self.alive if thing.name == name)
                     self.figures.worst = f"{name} ({Path(what).name}): {iou:.4f} of {int(expected.sum())} pixels"
                 self.figures.ious.append(iou)
-        self.call("set_simulation_state", state=SimulationState(state=SimulationState.STATE_PLAYING))
+        self._services.play()
 
     def _masks(self) -> dict[str, NDArray[np.bool_]]:
         """Returns where each thing without joints must be seen, (H, W)."""
@@ -256,7 +244,7 @@ class Run:
         for thing in self.alive:
             triangles = thing.triangles()
             if triangles is not None:
-                at = self.call("get_entity_state", entity=thing.name).state.pose
+                at = self._services.ask("get_entity_state", entity=thing.name).state.pose
                 T_camera_body = invert(self._T_map_camera) @ _matrix(at.position, at.orientation)
                 masks[thing.name] = silhouette(triangles, T_camera_body, self._matrix, (height, width))
         return masks

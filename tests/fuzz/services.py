@@ -25,6 +25,7 @@ from fuzz import seeds
 from fuzz.grammar import SECRET, SECRET_NUMBER, Mutator
 from fuzz.requests import change, command, fill_spawn
 from gibson_sim.description.urdf import read_urdf
+from support.clients import client_of
 from support.scenes import write_room
 from support.simulation import PATIENCE_S, Launched, Listener
 
@@ -82,7 +83,7 @@ class ServiceFuzzer:
         """Takes a simulation that plays in ``write_room(folder / "room")`` with ``OPTIONS``, and a client."""
         self.sim, self.listener, self.folder, self.seed = sim, listener, folder, seed
         self.report = Report()
-        self._clients: dict[str, Any] = {}
+        self._services = client_of(self.listener)
         self._publishers: dict[str, Any] = {}
         self._clock = listener.collect(Clock, "/clock")
         self._pid = sim.node_pid("physics")
@@ -197,12 +198,9 @@ class ServiceFuzzer:
     def _ask(self, kind: Any, name: str, request: Any, number: int) -> Any:
         """Sends a request and judges its answer."""
         self._last = f"{name} {number}"
-        client = self._clients.get(name)
-        if client is None:
-            client = self._clients[name] = self.listener.node.create_client(kind, name)
-            self.listener.spin_until(client.service_is_ready, f"service {name}")
+        self._services.discover(name, kind)
         cpu, wall = _cpu_s(self._pid), time.monotonic()
-        future = client.call_async(request)
+        future = self._services.send(name, request)
         self._spin(future.done, name)
         took = min(time.monotonic() - wall, _cpu_s(self._pid) - cpu)
         self.report.sent[name] += 1

@@ -18,7 +18,7 @@ from nav_msgs.msg import Odometry  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 
 from gibson_sim.bags.reader import BagReader  # noqa: E402
-from support.clients import DEEP, Control, stamp_ns, step_of  # noqa: E402
+from support.clients import DEEP, client_of, stamp_ns, step_of  # noqa: E402
 
 pytestmark = pytest.mark.ros
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -96,7 +96,7 @@ def test_each_type_drives_where_it_is_received_and_every_command_is_recorded_und
 
 def test_command_holds_from_the_stamp_with_which_it_is_repeated(start: Callable[..., Launched], listener: Listener) -> None:
     start("--start-paused", "--step-hz", "240")
-    control = Control(listener)
+    control = client_of(listener)
     control.pause()
     applied = listener.collect(TwistStamped, "cmd_vel_applied", DEEP)
     clocks = listener.collect(Clock, "/clock", DEEP)

@@ -28,8 +28,9 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from gibson_msgs.msg import Epoch  # noqa: E402
 from gibson_sim.geometry.transforms import matrix_from_pose  # noqa: E402
+from gibson_sim.ros.client.simulation_client import SimulationClient  # noqa: E402
 from gibson_sim.ros.conversions import pose_from_msg  # noqa: E402
-from support.clients import DEEP, LATCHED, Control, drive_until, stamp_ns, step_of, steps_of  # noqa: E402
+from support.clients import DEEP, LATCHED, client_of, drive_until, stamp_ns, step_of, steps_of  # noqa: E402
 from support.consumers import CLOCK, LATCHED_ROWS, STREAMS, TICK, Heard, Row, hear  # noqa: E402
 from support.maps import cells_of, cells_to_occupied, fixed_transform, hits_of, rows_columns  # noqa: E402
 from support.robots import write_gibson_bot  # noqa: E402
@@ -79,9 +80,9 @@ def heard(sim: Launched, ros_context: Any) -> dict[str, Heard]:
 
 
 @pytest.fixture
-def control(sim: Launched, listener: Listener) -> Iterator[Control]:
+def control(sim: Launched, listener: Listener) -> Iterator[SimulationClient]:
     """The services of the simulation; afterwards it plays again."""
-    services = Control(listener)
+    services = client_of(listener)
     yield services
     services.play()
 
@@ -206,7 +207,9 @@ def _yaw(message: Odometry) -> float:
 
 @in_real_time
 @pytest.mark.parametrize("topic", ["odom", "ground_truth/odom"])
-def test_twist_of_odometry_is_in_the_child_frame(sim: Launched, listener: Listener, control: Control, topic: str) -> None:
+def test_twist_of_odometry_is_in_the_child_frame(
+    sim: Launched, listener: Listener, control: SimulationClient, topic: str
+) -> None:
     control.reset(ResetSimulation.Request.SCOPE_STATE)
     odometry = listener.collect(Odometry, topic, DEEP)
     listener.spin_until(lambda: bool(odometry), topic)
@@ -269,7 +272,7 @@ def _is_drawn(sim: Launched) -> bool:
     return any("triangles" in line for line in sim.lines)
 
 
-def test_nothing_is_published_while_time_stands_still(sim: Launched, listener: Listener, control: Control) -> None:
+def test_nothing_is_published_while_time_stands_still(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     streams = _streams(listener, _is_drawn(sim))
     reports = listener.collect(DiagnosticArray, "/diagnostics")
     control.pause()
@@ -281,7 +284,7 @@ def test_nothing_is_published_while_time_stands_still(sim: Launched, listener: L
     assert {name: len(messages) for name, messages in streams.items() if messages} == {}
 
 
-def test_paused_simulation_says_so(sim: Launched, control: Control) -> None:
+def test_paused_simulation_says_so(sim: Launched, control: SimulationClient) -> None:
     control.pause()
     assert control.state == SimulationState.STATE_PAUSED
 
@@ -289,7 +292,7 @@ def test_paused_simulation_says_so(sim: Launched, control: Control) -> None:
 @in_real_time
 @pytest.mark.parametrize("steps", [1, 7, 24])
 def test_step_makes_so_many_physics_steps_and_everything_that_is_due_in_them(
-    sim: Launched, listener: Listener, control: Control, steps: int
+    sim: Launched, listener: Listener, control: SimulationClient, steps: int
 ) -> None:
     control.pause()
     clock, odometry = listener.collect(Clock, "/clock", DEEP), listener.collect(Odometry, "odom", DEEP)
@@ -314,7 +317,7 @@ def _settled(listener: Listener, clock: list[Any]) -> int:
     return step_of(stamp_ns(clock[-1]))
 
 
-def test_reset_begins_time_again_and_counts_an_epoch(sim: Launched, listener: Listener, control: Control) -> None:
+def test_reset_begins_time_again_and_counts_an_epoch(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     epochs = listener.collect(Epoch, "simulation_epoch", LATCHED)
     streams = _streams(listener, _is_drawn(sim))
     listener.spin_until(lambda: bool(epochs), "the epoch")
@@ -339,7 +342,7 @@ def test_reset_begins_time_again_and_counts_an_epoch(sim: Launched, listener: Li
         assert steps == sorted(set(steps)), name
 
 
-def test_reset_puts_the_robot_back(sim: Launched, listener: Listener, control: Control) -> None:
+def test_reset_puts_the_robot_back(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     truth = listener.collect(Odometry, "ground_truth/odom", DEEP)
     listener.spin_until(lambda: bool(truth), "ground truth")
     drive_until(listener, "cmd_vel", 0.0, 1.0, lambda: abs(_yaw(truth[-1])) > 0.5, "a turned robot")
@@ -357,7 +360,7 @@ def test_reset_puts_the_robot_back(sim: Launched, listener: Listener, control: C
 
 
 @_options("--reset-time", "monotonic", "--no-render")
-def test_monotonic_reset_never_turns_time_back(sim: Launched, listener: Listener, control: Control) -> None:
+def test_monotonic_reset_never_turns_time_back(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     streams, epochs = _streams(listener, drawn=False), listener.collect(Epoch, "simulation_epoch", LATCHED)
     listener.spin_until(lambda: bool(epochs) and step_of(stamp_ns(streams["/clock"][-1])) > 240, "a second")
     control.reset()

@@ -20,7 +20,7 @@ require("rclpy", "gibson_msgs", "simulation_interfaces")
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
 
-from support.clients import DEEP, Control, stamp_ns, steps_of  # noqa: E402
+from support.clients import DEEP, client_of, stamp_ns, steps_of  # noqa: E402
 
 pytestmark = pytest.mark.ros
 IMAGE_STEPS = 24
@@ -72,7 +72,7 @@ def test_time_waits_from_when_full_speed_is_requested(start: Callable[..., Launc
     launched = start("--rate", "1")
     images = listener.collect(Image, "camera/image_raw", DEEP)
     listener.spin_until(lambda: len(images) > 3, "images")
-    control = Control(listener)
+    control = client_of(listener)
     assert control.set_parameter("physics", "rate", 0.0) == (True, "")
     _receives_all(listener, images)
     os.kill(launched.node_pid("render"), signal.SIGSTOP)

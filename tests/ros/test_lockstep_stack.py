@@ -19,7 +19,7 @@ from std_msgs.msg import String  # noqa: E402
 
 from gibson_msgs.msg import TickDigest  # noqa: E402
 from gibson_sim.cli.environment import node_environment  # noqa: E402
-from support.clients import LATCHED, Control  # noqa: E402
+from support.clients import LATCHED, client_of  # noqa: E402
 from support.lockstep import ALL_OF_IT, Digests  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -53,7 +53,7 @@ def test_a_drive_after_a_reset_repeats_the_first_one_to_the_bit(launched: list[L
         for topic, digest in zip(msg.topics, msg.digests, strict=True):
             digests[msg.epoch, msg.step, topic] = int(digest)
 
-    node, control = listener.node, Control(listener)
+    node, control = listener.node, client_of(listener)
     node.create_subscription(TickDigest, "tick_digest", note, ALL_OF_IT)
     status = listener.collect(String, "navigation/status", LATCHED)
     initial = node.create_publisher(PoseWithCovarianceStamped, "initialpose", 1)

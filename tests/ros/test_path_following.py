@@ -26,7 +26,7 @@ from gibson_path_following.nodes.path_localiser import PathLocaliserNode  # noqa
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
 from gibson_path_following.nodes.path_recorder import PathRecorderNode  # noqa: E402
 from gibson_path_following.paths.path_folder import load_path  # noqa: E402
-from support.clients import Control  # noqa: E402
+from support.clients import client_of  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.egl]
 POSTS = "".join(
@@ -86,11 +86,7 @@ class Robot:
         return float(self.poses[-1].pose.pose.position.x) if self.poses else -9.0
 
     def call(self, service: str) -> Any:
-        client = self.listener.node.create_client(Trigger, service)
-        self.listener.spin_until(client.service_is_ready, service)
-        future = client.call_async(Trigger.Request())
-        self.listener.spin_until(future.done, f"an answer of {service}")
-        return future.result()
+        return client_of(self.listener).call(service, Trigger.Request())
 
 
 def _record(robot: Robot, folder: Path) -> None:
@@ -127,7 +123,7 @@ def test_a_recorded_path_is_followed_and_judged_and_the_robot_stops_while_it_see
     path = load_path(folder)
     assert 7 <= len(path.nodes) <= 11 and path.length == pytest.approx(1.6, abs=0.25)
 
-    Control(listener).reset()
+    client_of(listener).reset()
     listener.spin_until(lambda: robot.x < -1.1, "the start")
     evaluator = robot.start(PathEvaluatorNode, path=str(folder), file=str(results))
     policy = robot.start(PathPolicyNode, path=str(folder))

@@ -39,7 +39,7 @@ from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
 from gibson_sim.processes.node_process import PARENT_VARIABLE  # noqa: E402
 from gibson_sim.ros.conversions import image_to_msg, time_to_msg  # noqa: E402
 from gibson_sim.ros.topics import qos  # noqa: E402
-from support.clients import DEEP, LATCHED, Control, LaunchedNode  # noqa: E402
+from support.clients import DEEP, LATCHED, LaunchedNode, client_of  # noqa: E402
 
 pytestmark = pytest.mark.ros
 NS = 10**9
@@ -50,7 +50,7 @@ class Source:
 
     def __init__(self, listener: Listener, folder: Path) -> None:
         self.listener, self.folder = listener, folder
-        self.control = Control(listener)
+        self.control = client_of(listener)
         self._clock = listener.node.create_publisher(Clock, "/clock", DEEP)
         self._text = listener.node.create_publisher(String, "/text", DEEP)
         self._short = listener.node.create_publisher(String, "/short", 10)
@@ -224,13 +224,13 @@ def test_services_pause_resume_and_split(source: Source) -> None:
     source.record()
     call = source.control.call
     source.say("first", at_ns=1)
-    call(SplitBagfile, "record/split_bagfile", SplitBagfile.Request())
-    assert not call(IsPaused, "record/is_paused", IsPaused.Request()).paused
-    call(Pause, "record/pause", Pause.Request())
-    assert call(IsPaused, "record/is_paused", IsPaused.Request()).paused
+    call("record/split_bagfile", SplitBagfile.Request())
+    assert not call("record/is_paused", IsPaused.Request()).paused
+    call("record/pause", Pause.Request())
+    assert call("record/is_paused", IsPaused.Request()).paused
     source.say("not recorded", at_ns=2)
-    call(Resume, "record/resume", Resume.Request())
-    assert not call(IsPaused, "record/is_paused", IsPaused.Request()).paused
+    call("record/resume", Resume.Request())
+    assert not call("record/is_paused", IsPaused.Request()).paused
     source.say("last", at_ns=3)
     source.stop()
     assert _texts(source.folder / "bag") == [(1, "first"), (3, "last")]
@@ -241,9 +241,9 @@ def test_snapshot_writes_the_last_seconds_again_and_again(source: Source) -> Non
     source.record(snapshot_seconds=2.0)
     for second in range(5):
         source.say(str(second), at_ns=second * NS)
-    assert source.control.call(Snapshot, "record/snapshot", Snapshot.Request()).success
+    assert source.control.call("record/snapshot", Snapshot.Request()).success
     source.say("5", at_ns=5 * NS)
-    assert source.control.call(Snapshot, "record/snapshot", Snapshot.Request()).success
+    assert source.control.call("record/snapshot", Snapshot.Request()).success
     source.stop()
     assert _texts(source.folder / "bag_snapshot1") == [(second * NS, str(second)) for second in (2, 3, 4)]
     assert _texts(source.folder / "bag_snapshot2") == [(second * NS, str(second)) for second in (3, 4, 5)]

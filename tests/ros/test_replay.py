@@ -23,7 +23,7 @@ from gibson_sim.bags.reader import BagReader  # noqa: E402
 from gibson_sim.bags.writer import BagWriter  # noqa: E402
 from gibson_sim.cli.main import main  # noqa: E402
 from gibson_sim.cli.parser import ExitCode  # noqa: E402
-from support.clients import DEEP, Control  # noqa: E402
+from support.clients import DEEP, client_of  # noqa: E402
 
 pytestmark = pytest.mark.ros
 NS = 1_000_000_000
@@ -38,7 +38,7 @@ class Driver:
     """A client that drives while time does not wait for it."""
 
     def __init__(self, listener: Listener) -> None:
-        self.control = Control(listener)
+        self.control = client_of(listener)
         self._listener = listener
         self._states = listener.collect(SceneState, "scene_state", DEEP)
         self._publisher = listener.node.create_publisher(Twist, "cmd_vel", 1)
@@ -59,19 +59,19 @@ class Driver:
         """Lets a cube fall ahead of the robot."""
         request = SpawnEntity.Request(name="cube", resource_string=CUBE)
         request.initial_pose.pose.position.x, request.initial_pose.pose.position.z = 0.8, 0.4
-        assert self.control.call(SpawnEntity, "spawn_entity", request).result.result == 1
+        assert self.control.call("spawn_entity", request).result.result == 1
 
     def move(self) -> None:
         """Puts the cube into the way."""
         request = SetEntityState.Request(entity="cube")
         position = request.state.pose.position
         position.x, position.y, position.z = 0.5, 0.1, 0.3
-        assert self.control.call(SetEntityState, "set_entity_state", request).result.result == 1
+        assert self.control.call("set_entity_state", request).result.result == 1
 
     def load(self, scene: str) -> None:
         """Unloads the world, loads another one and plays."""
-        assert self.control.call(UnloadWorld, "unload_world", UnloadWorld.Request()).result.result == 1
-        assert self.control.call(LoadWorld, "load_world", LoadWorld.Request(uri=scene)).result.result == 1
+        assert self.control.call("unload_world", UnloadWorld.Request()).result.result == 1
+        assert self.control.call("load_world", LoadWorld.Request(uri=scene)).result.result == 1
         self.control.play()
 
 

@@ -30,9 +30,10 @@ from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan  # noqa: E4
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from gibson_msgs.msg import Scene  # noqa: E402
+from gibson_sim.ros.client.simulation_client import SimulationClient  # noqa: E402
 from gibson_sim.ros.conversions import array_from_image  # noqa: E402
 from gibson_sim.types import OUTPUTS  # noqa: E402
-from support.clients import DEEP, Control  # noqa: E402
+from support.clients import DEEP, client_of  # noqa: E402
 
 pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -48,9 +49,9 @@ def sim(ros_domain: int) -> Iterator[Launched]:
 
 
 @pytest.fixture
-def control(sim: Launched, listener: Listener) -> Iterator[Control]:
+def control(sim: Launched, listener: Listener) -> Iterator[SimulationClient]:
     """The services of the simulation; afterwards it plays again."""
-    services = Control(listener)
+    services = client_of(listener)
     yield services
     services.play()
 
@@ -181,7 +182,7 @@ def test_covariance_of_odometry_is_that_of_this_robot(sim: Launched, listener: L
     assert twist[5, 5] < 1e-5
 
 
-def test_robot_stops_when_commands_cease(sim: Launched, listener: Listener, control: Control) -> None:
+def test_robot_stops_when_commands_cease(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     odometry = listener.collect(Odometry, "odom", DEEP)
     publisher = listener.node.create_publisher(Twist, "cmd_vel", 1)
     listener.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(odometry), "a simulation that subscribes")

@@ -32,6 +32,7 @@ from std_msgs.msg import Header  # noqa: E402
 from gibson_sim.standard import codes  # noqa: E402
 from gibson_sim.standard.features import FEATURES  # noqa: E402
 from gibson_sim.standard.states import SimulationState  # noqa: E402
+from support.clients import client_of  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -54,15 +55,12 @@ class Client:
 
     def __init__(self, listener: Listener) -> None:
         self.listener = listener
-        self._clients: dict[Any, Any] = {}
+        self._services = client_of(listener)
 
     def send(self, kind: Any, **fields: Any) -> Any:
         """Returns the future of a request."""
-        if kind not in self._clients:
-            name = re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
-            self._clients[kind] = self.listener.node.create_client(kind, name)
-            self.listener.spin_until(self._clients[kind].service_is_ready, f"service {name}")
-        return self._clients[kind].call_async(kind.Request(**fields))
+        name = re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
+        return self._services.send(name, kind.Request(**fields))
 
     def call(self, kind: Any, **fields: Any) -> Any:
         """Returns the response."""

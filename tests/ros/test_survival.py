@@ -24,8 +24,9 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 from simulation_interfaces.srv import DeleteEntity, GetEntityState, SpawnEntity  # noqa: E402
 
+from gibson_sim.ros.client.simulation_client import SimulationClient  # noqa: E402
 from gibson_sim.ros.conversions import array_from_image, time_from_msg  # noqa: E402
-from support.clients import DEEP, Control, stamp_ns, step_of, steps_of  # noqa: E402
+from support.clients import DEEP, client_of, stamp_ns, step_of, steps_of  # noqa: E402
 from support.robots import write_gibson_bot  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -67,23 +68,23 @@ def sim(start: Callable[..., Launched]) -> Launched:
     return launched
 
 
-def _spawn(control: Control, name: str, rgb: str, y: float) -> None:
+def _spawn(control: SimulationClient, name: str, rgb: str, y: float) -> None:
     """Puts a cube on the floor, a metre ahead of the robot."""
     request = SpawnEntity.Request(name=name, resource_string=CUBE.format(rgb=rgb))
     place = request.initial_pose.pose.position
     place.x, place.y, place.z = 1.0, y, 0.15
-    result = control.call(SpawnEntity, "spawn_entity", request).result
+    result = control.call("spawn_entity", request).result
     assert result.result == result.RESULT_OK, result.error_message
 
 
-def _delete(control: Control, name: str) -> None:
-    result = control.call(DeleteEntity, "delete_entity", DeleteEntity.Request(entity=name)).result
+def _delete(control: SimulationClient, name: str) -> None:
+    result = control.call("delete_entity", DeleteEntity.Request(entity=name)).result
     assert result.result == result.RESULT_OK, result.error_message
 
 
-def _now_ns(control: Control, name: str) -> int:
+def _now_ns(control: SimulationClient, name: str) -> int:
     """Returns the simulation time at which an entity was looked at."""
-    state = control.call(GetEntityState, "get_entity_state", GetEntityState.Request(entity=name)).state
+    state = control.call("get_entity_state", GetEntityState.Request(entity=name)).state
     return int(time_from_msg(state.header.stamp))
 
 
@@ -96,7 +97,7 @@ def _pixels_of(rgb: str, image: Any) -> int:
 
 
 def test_renderer_that_was_killed_shows_what_changed_while_it_was_gone(sim: Launched, listener: Listener) -> None:
-    control, images = Control(listener), listener.collect(Image, "camera/image_raw", DEEP)
+    control, images = client_of(listener), listener.collect(Image, "camera/image_raw", DEEP)
     _spawn(control, "old", GREEN, -0.3)
     listener.spin_until(lambda: bool(images) and _pixels_of(GREEN, images[-1]) > 100, "a green cube in the image")
     lines = len(sim.lines)

@@ -17,9 +17,10 @@ from simulation_interfaces import srv  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
+from gibson_sim.ros.client.simulation_client import SimulationClient  # noqa: E402
 from gibson_sim.tasks.ground import ground_of  # noqa: E402
 from gibson_sim.tasks.registry import task_of  # noqa: E402
-from support.clients import LATCHED, Control, LaunchedNode  # noqa: E402
+from support.clients import LATCHED, LaunchedNode, client_of  # noqa: E402
 
 pytestmark = pytest.mark.ros
 TASK, SCENE, SEED = "point-goal", "arena", 7
@@ -36,7 +37,7 @@ def sim(ros_domain: int) -> Iterator[Launched]:
 @pytest.fixture
 def before(sim: Launched, listener: Listener) -> set[str]:
     """Bodies before the first episode."""
-    return entities(Control(listener))
+    return entities(client_of(listener))
 
 
 @pytest.fixture
@@ -46,24 +47,24 @@ def node(before: set[str]) -> Iterator[LaunchedNode]:
     assert launched.stop() == 0, "\n".join(launched.lines)
 
 
-def entities(control: Control) -> set[str]:
-    return set(control.call(srv.GetEntities, "get_entities", srv.GetEntities.Request()).entities)
+def entities(control: SimulationClient) -> set[str]:
+    return set(control.call("get_entities", srv.GetEntities.Request()).entities)
 
 
-def robot_at(control: Control) -> Any:
-    return control.call(srv.GetEntityState, "get_entity_state", srv.GetEntityState.Request(entity="robot")).state.pose
+def robot_at(control: SimulationClient) -> Any:
+    return control.call("get_entity_state", srv.GetEntityState.Request(entity="robot")).state.pose
 
 
-def put_robot(control: Control, x: float, y: float, z: float) -> None:
+def put_robot(control: SimulationClient, x: float, y: float, z: float) -> None:
     request = srv.SetEntityState.Request(entity="robot")
     request.state.pose.position.x, request.state.pose.position.y, request.state.pose.position.z = x, y, z
-    result = control.call(srv.SetEntityState, "set_entity_state", request).result
+    result = control.call("set_entity_state", request).result
     assert result.result == result.RESULT_OK, result.error_message
 
 
 @pytest.mark.usefixtures("node")
 def test_episodes_are_announced_judged_and_reset(listener: Listener, before: set[str]) -> None:
-    control = Control(listener)
+    control = client_of(listener)
     texts: dict[str, list[dict[str, Any]]] = {"info": [], "result": []}
     for name, found in texts.items():
         listener.node.create_subscription(
@@ -94,10 +95,10 @@ def test_episodes_are_announced_judged_and_reset(listener: Listener, before: set
     assert (result["seed"], result["success"]) == (SEED, True)
     assert result["goal_distance"] < 0.3
 
-    answer = control.call(Trigger, "task/reset", Trigger.Request())
+    answer = control.call("task/reset", Trigger.Request())
     assert (answer.success, answer.message) == (True, f"the episode of seed {SEED + 1} begins")
     begun(SEED + 1)
-    control.call(Trigger, "task/reset", Trigger.Request())
+    control.call("task/reset", Trigger.Request())
     listener.spin_until(lambda: len(texts["result"]) == 2, "the result of an episode without commands")
     assert [(one["seed"], one["success"]) for one in texts["result"]] == [(SEED, True), (SEED + 1, False)]
     assert texts["result"][1]["path_length"] == pytest.approx(0.0, abs=0.05), "no node drove"

@@ -18,7 +18,8 @@ from simulation_interfaces.msg import SimulationState  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from gibson_msgs.msg import Scene, SceneState  # noqa: E402
-from support.clients import DEEP, LATCHED, Control, stamp_ns, step_of, steps_of  # noqa: E402
+from gibson_sim.ros.client.simulation_client import SimulationClient  # noqa: E402
+from support.clients import DEEP, LATCHED, client_of, stamp_ns, step_of, steps_of  # noqa: E402
 
 pytestmark = pytest.mark.ros
 NEVER_FASTER = 1.05
@@ -39,9 +40,9 @@ def _options(*options: str) -> pytest.MarkDecorator:
 
 
 @pytest.fixture
-def control(sim: Launched, listener: Listener) -> Iterator[Control]:
+def control(sim: Launched, listener: Listener) -> Iterator[SimulationClient]:
     """The services of the simulation; afterwards it keeps the pace of wall time again."""
-    services = Control(listener)
+    services = client_of(listener)
     yield services
     services.set_parameter("physics", "rate", 1.0)
 
@@ -86,7 +87,7 @@ def test_stamps_of_another_step_rate_are_whole_nanoseconds_too(sim: Launched, li
 
 @pytest.mark.parametrize("rate", [0.3, 1.0])
 def test_real_time_factor_is_never_above_the_requested_rate(
-    sim: Launched, listener: Listener, control: Control, rate: float
+    sim: Launched, listener: Listener, control: SimulationClient, rate: float
 ) -> None:
     assert control.set_parameter("physics", "rate", rate) == (True, "")
     factors = listener.collect(Float64, "real_time_factor", DEEP)
@@ -97,7 +98,7 @@ def test_real_time_factor_is_never_above_the_requested_rate(
     assert 0.0 < median(later) <= NEVER_FASTER * rate
 
 
-def test_pace_changes_while_it_runs(sim: Launched, listener: Listener, control: Control) -> None:
+def test_pace_changes_while_it_runs(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     factors = listener.collect(Float64, "real_time_factor", DEEP)
     assert control.set_parameter("physics", "rate", 0.05) == (True, "")
     listener.spin_until(lambda: bool(factors) and factors[-1].data < 0.06, "a twentieth of the pace")
@@ -105,7 +106,7 @@ def test_pace_changes_while_it_runs(sim: Launched, listener: Listener, control: 
     listener.spin_until(lambda: factors[-1].data > 0.08, "a higher pace")
 
 
-def test_pace_without_end_is_as_fast_as_the_machine(sim: Launched, listener: Listener, control: Control) -> None:
+def test_pace_without_end_is_as_fast_as_the_machine(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     factors = listener.collect(Float64, "real_time_factor", DEEP)
     assert control.set_parameter("physics", "rate", 0.05) == (True, "")
     listener.spin_until(lambda: bool(factors) and factors[-1].data < 0.06, "a slow pace")
@@ -113,7 +114,7 @@ def test_pace_without_end_is_as_fast_as_the_machine(sim: Launched, listener: Lis
     listener.spin_until(lambda: factors[-1].data > 0.08, "a higher pace")
 
 
-def test_time_goes_on_where_it_was_when_the_pace_changes(sim: Launched, listener: Listener, control: Control) -> None:
+def test_time_goes_on_where_it_was_when_the_pace_changes(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     states = listener.collect(SceneState, "scene_state", DEEP)
     listener.spin_until(lambda: len(states) > 10, "states")
     for rate in (0.5, 2.0, 1.0):
@@ -124,7 +125,7 @@ def test_time_goes_on_where_it_was_when_the_pace_changes(sim: Launched, listener
     assert steps == list(range(steps[0], steps[-1] + 1, 4))
 
 
-def test_impossible_pace_is_refused_and_nothing_changes(sim: Launched, listener: Listener, control: Control) -> None:
+def test_impossible_pace_is_refused_and_nothing_changes(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     taken, why = control.set_parameter("physics", "rate", -1.0)
     assert not taken
     assert all(word in why for word in ("rate", "0.0", "1000.0", "-1.0")), why
@@ -132,7 +133,7 @@ def test_impossible_pace_is_refused_and_nothing_changes(sim: Launched, listener:
     listener.spin_until(lambda: len(clock) > 10, "time that goes on")
 
 
-def test_other_settings_cannot_be_changed_while_it_runs(sim: Launched, control: Control) -> None:
+def test_other_settings_cannot_be_changed_while_it_runs(sim: Launched, control: SimulationClient) -> None:
     taken, why = control.set_parameter("physics", "cmd_vel_timeout", 1.0)
     assert not taken
     assert "read-only" in why
@@ -140,7 +141,7 @@ def test_other_settings_cannot_be_changed_while_it_runs(sim: Launched, control: 
 
 @_options("--start-paused")
 def test_start_that_waits_shows_the_scene_and_begins_with_the_first_step(
-    sim: Launched, listener: Listener, control: Control
+    sim: Launched, listener: Listener, control: SimulationClient
 ) -> None:
     scenes = listener.collect(Scene, "scene", LATCHED)
     clock, odometry = listener.collect(Clock, "/clock", DEEP), listener.collect(Odometry, "odom", DEEP)

@@ -1,4 +1,4 @@
-"""What clients of a running simulation do beside listening: call services, set parameters, read stamps, drive."""
+"""What clients of a running simulation do beside listening: call services, read stamps, drive."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from geometry_msgs.msg import Twist
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from simulation_interfaces.msg import SimulationState
-from simulation_interfaces.srv import GetSimulationState, ResetSimulation, SetSimulationState, StepSimulation
 
 from gibson_sim.cli.environment import node_environment
+from gibson_sim.ros.client.simulation_client import Awaited, SimulationClient
 from support.simulation import PATIENCE_S, Launched, Listener
 
 STEP_HZ = 240
@@ -58,59 +55,13 @@ class LaunchedNode(Launched):
         self.process.wait(timeout=PATIENCE_S)
 
 
-class Control:
-    """The services that rule time, as a client calls them."""
+def client_of(listener: Listener) -> SimulationClient:
+    """Returns a client of the simulation that works as the listener does while it waits."""
 
-    def __init__(self, listener: Listener) -> None:
-        self.listener = listener
-        self._clients: dict[str, Any] = {}
+    def wait(condition: Callable[[], bool], awaited: Awaited) -> None:
+        listener.spin_until(condition, str(awaited))
 
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        """Returns the response of a service."""
-        client = self._clients.get(name)
-        if client is None:
-            client = self._clients[name] = self.listener.node.create_client(kind, name)
-            self.listener.spin_until(client.service_is_ready, f"service {name}")
-        future = client.call_async(request)
-        self.listener.spin_until(future.done, f"answer of {name}")
-        return future.result()
-
-    @property
-    def state(self) -> int:
-        """What the simulation is doing: a constant of SimulationState."""
-        return int(self.call(GetSimulationState, "get_simulation_state", GetSimulationState.Request()).state.state)
-
-    def set_state(self, state: int) -> None:
-        """Plays, pauses or stops; being there already is fine."""
-        request = SetSimulationState.Request(state=SimulationState(state=state))
-        result = self.call(SetSimulationState, "set_simulation_state", request).result
-        allowed = (result.RESULT_OK, SetSimulationState.Response.ALREADY_IN_TARGET_STATE)
-        assert result.result in allowed, f"{result.result}: {result.error_message}"
-
-    def play(self) -> None:
-        """Lets time pass."""
-        self.set_state(SimulationState.STATE_PLAYING)
-
-    def pause(self) -> None:
-        """Lets time stand still."""
-        self.set_state(SimulationState.STATE_PAUSED)
-
-    def step(self, steps: int) -> None:
-        """Makes so many physics steps of a paused simulation."""
-        result = self.call(StepSimulation, "step_simulation", StepSimulation.Request(steps=steps)).result
-        assert result.result == result.RESULT_OK, result.error_message
-
-    def reset(self, scope: int = ResetSimulation.Request.SCOPE_DEFAULT) -> None:
-        """Puts back what ``scope`` names."""
-        result = self.call(ResetSimulation, "reset_simulation", ResetSimulation.Request(scope=scope)).result
-        assert result.result == result.RESULT_OK, result.error_message
-
-    def set_parameter(self, node: str, name: str, value: float) -> tuple[bool, str]:
-        """Sets a number as ``ros2 param set`` does; returns whether it was taken, and why not."""
-        number = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-        request = SetParameters.Request(parameters=[Parameter(name=name, value=number)])
-        result = self.call(SetParameters, f"{node}/set_parameters", request).results[0]
-        return result.successful, result.reason
+    return SimulationClient(listener.node, wait)
 
 
 def drive_until(listener: Listener, topic: str, linear: float, angular: float, condition: Callable[[], bool], what: str) -> None:

@@ -20,35 +20,27 @@ from gibson_sim.ros.web.entities import Entities  # noqa: E402
 pytestmark = pytest.mark.ros
 
 
-class Client:
-    """A service client that only says whether its service is offered."""
-
-    def __init__(self, kind: Any) -> None:
-        self.kind = kind
-        self.offered = True
-
-    def service_is_ready(self) -> bool:
-        return self.offered
-
-
 class Services:
-    """Stands in for a node and for the client of a simulation: it answers at once, unless it is told to wait."""
+    """Stands in for the client of a simulation: it answers at once, unless it is told to wait."""
 
     def __init__(self) -> None:
-        self.clients: list[Client] = []
+        self.prepared: list[str] = []
+        self.offered = True
         self.calls: list[Any] = []
         self.waiting: list[Any] = []
         self.waits = False
 
-    def create_client(self, kind: Any, name: str) -> Client:
-        self.clients.append(Client(kind))
-        return self.clients[-1]
+    def prepare(self, service: str) -> None:
+        self.prepared.append(service)
 
-    def call(self, client: Client, request: Any, on_response: Any, answer: Any) -> None:
+    def is_offered(self, service: str) -> bool:
+        return self.offered and service in self.prepared
+
+    def begin(self, service: str, request: Any, on_response: Any) -> None:
         self.calls.append(request)
-        response = client.kind.Response()
+        response = {"get_entity_info": GetEntityInfo, "get_named_pose_bounds": GetNamedPoseBounds}[service].Response()
         response.result.result = 1
-        if client.kind is GetEntityInfo:
+        if service == "get_entity_info":
             response.info.description = f"class of {request.entity}"
         else:
             response.bounds.points = [Vector3(x=2.0, y=1.5, z=1.0), Vector3(x=-1.0, y=-0.5)]  # the upper corner comes first
@@ -65,7 +57,7 @@ def services() -> Services:
 
 @pytest.fixture
 def entities(services: Services) -> Entities:
-    return Entities(services, services, lambda z: int(z > 2.0))  # type: ignore[arg-type]
+    return Entities(services, lambda z: int(z > 2.0))  # type: ignore[arg-type]
 
 
 def _states(**places: tuple[float, float, float, float]) -> Any:
@@ -131,8 +123,7 @@ def test_rooms_of_another_world_are_asked_for_again(entities: Entities, services
 
 
 def test_a_simulator_without_these_services_has_no_classes_and_no_rooms(entities: Entities, services: Services) -> None:
-    for client in services.clients:
-        client.offered = False
+    services.offered = False
     [cup] = entities.values(_states(cup=(0.0, 0.0, 0.0, 0.0)), ())
     assert cup["class"] == "" and entities.rooms(_poses(("hall", ("room",)))) == [] and not services.calls
-    assert GetNamedPoseBounds in [client.kind for client in services.clients]
+    assert "get_named_pose_bounds" in services.prepared

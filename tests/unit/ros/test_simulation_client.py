@@ -13,8 +13,8 @@ require("rclpy", "simulation_interfaces")
 from rclpy.task import Future  # noqa: E402
 from simulation_interfaces.srv import SetEntityState, SetSimulationState, SpawnEntity  # noqa: E402
 
-from gibson_sim.ros.client.requests import move_request, spawn_request  # noqa: E402
-from gibson_sim.ros.web.simulation_client import SimulationClient  # noqa: E402
+from gibson_sim.ros.client.simulation_client import SimulationClient, floor_pose, move_request, spawn_request  # noqa: E402
+from gibson_sim.ros.web.simulation_requests import SimulationRequests  # noqa: E402
 from gibson_sim.web.requests import Move, Spawn, Time  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -54,12 +54,13 @@ class Answering:
 )
 def test_a_code_means_what_it_means_for_its_own_service(request_: Any, code: int, ok: bool) -> None:
     told: list[bool] = []
-    SimulationClient(Answering(code)).ask(request_, lambda good, text: told.append(good))  # type: ignore[arg-type]
+    services = SimulationClient(Answering(code))  # type: ignore[arg-type]
+    SimulationRequests(services).ask(request_, lambda good, text: told.append(good))
     assert told == [ok]
 
 
 def test_a_place_becomes_a_pose_just_above_the_floor() -> None:
-    pose = spawn_request("ball", (1.0, 2.0, 3.141592653589793), 0.5, "mine").initial_pose
+    pose = spawn_request(floor_pose((1.0, 2.0, 3.141592653589793), 0.5), "mine", "ball").initial_pose
     assert (pose.header.frame_id, pose.pose.position.x, pose.pose.position.y, pose.pose.position.z) == ("map", 1.0, 2.0, 0.52)
     assert pose.pose.orientation.z == 1.0
-    assert move_request("ball", (1.0, 2.0, 0.0), 0.0).state.pose.position.z == 0.02
+    assert move_request("ball", floor_pose((1.0, 2.0, 0.0), 0.0)).state.pose.position.z == 0.02

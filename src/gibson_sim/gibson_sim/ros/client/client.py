@@ -19,8 +19,6 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -32,8 +30,14 @@ from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions
 from gibson_sim.ros.client.answers import AnswerRule, parse_rule
 from gibson_sim.ros.client.collisions import Collision, CollisionLog
-from gibson_sim.ros.client.requests import SERVICES, flat_pose
-from gibson_sim.ros.client.standard_services import StandardServices
+from gibson_sim.ros.client.simulation_client import (
+    Awaited,
+    SimulationClient,
+    flat_pose,
+    is_success,
+    refusal_text,
+    standard_service,
+)
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.ros.nodes.node_main import make_executor
 from gibson_sim.ros.topics import names, qos
@@ -149,7 +153,6 @@ class Client:
         self._executor: Any = make_executor(context=self._context)
         self._executor.add_node(self.node)
         self._robots = dict(robots)
-        self._clients: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
         self._subscribed: dict[str, _SubscribedTopic] = {}
         self._followed: list[_FollowedProgram] = []
@@ -174,7 +177,7 @@ class Client:
         self._collisions = {robot: CollisionLog(robot) for robot in robots}
         self._contacts: Any = None
         self._map: Any = None
-        self.services = StandardServices(self.call)
+        self.services = SimulationClient(self.node, self._wait_for_call)
 
     # Start and end
 
@@ -192,18 +195,17 @@ class Client:
             truth, collisions = f"{namespace}{names.GROUND_TRUTH}", f"{namespace}{names.COLLISIONS}"
             self._subscribe_internally(truth, Odometry, partial(self._on_truth, robot))
             self._subscribe_internally(collisions, CollisionCount, partial(self._on_collisions, robot))
-        for service in ("get_simulation_state", "spawn_entity", "reset_simulation"):
-            self._client(service, SERVICES[service])
-        self._spin_until(
-            START_S, lambda: all(client.service_is_ready() for client in self._clients.values()), "the simulation to answer"
-        )
+        used = ("get_simulation_state", "spawn_entity", "reset_simulation")
+        for service in used:
+            self.services.prepare(service)
+        self._spin_until(START_S, lambda: all(map(self.services.is_offered, used)), "the simulation to answer")
         if self._lockstep:
             self._participant = LockstepParticipant(self.node)
         if self._initial_state() == SimulationState.STATE_PLAYING:
             self.next_tick(START_S)
 
     def _initial_state(self) -> int:
-        state = int(self.services.ask("get_simulation_state").state.state)
+        state = self.services.state
         if state == SimulationState.STATE_STOPPED:
             self.set_playing(False)  # a stopped simulation executes no steps
         self._is_paused = state != SimulationState.STATE_PLAYING
@@ -406,7 +408,7 @@ class Client:
     def step(self, steps: int, step_hz: int) -> None:
         """Executes physics steps of ``1 / step_hz`` s in a paused simulation."""
         target_ns = (round(self._now_ns * step_hz / NS_PER_S) + steps) * NS_PER_S // step_hz
-        future = self._send("step_simulation", SERVICES["step_simulation"], SERVICES["step_simulation"].Request(steps=steps))
+        future = self.services.send("step_simulation", standard_service("step_simulation").Request(steps=steps))
 
         def done() -> bool:
             if self._held is None:
@@ -418,29 +420,26 @@ class Client:
         self._end_tick()
         self._spin_until(max(ANSWER_S, 0.1 * steps), done, "the steps to be executed")
         self._drain()
-        result = future.result().result
-        if result.result != 1:
-            raise GibsonSimError(result.error_message)
+        if not is_success("step_simulation", future.result()):
+            raise GibsonSimError(refusal_text("step_simulation", future.result()))
         while self._begin_tick():
             pass
         self._now_ns = target_ns  # it may lie between two ticks
 
     def set_playing(self, playing: bool) -> None:
         """Plays or pauses the simulation."""
-        self.services.set_state(SimulationState.STATE_PLAYING if playing else SimulationState.STATE_PAUSED)
+        (self.services.play if playing else self.services.pause)()
         self._is_paused = not playing
 
     def set_rate(self, rate: float) -> None:
         """Sets the rate of simulation time relative to wall time; 0 = as fast as possible."""
-        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
-        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
-        result = self.call(f"{_PHYSICS}/set_parameters", SetParameters, request).results[0]
-        if not result.successful:
-            raise GibsonSimError(result.reason)
+        is_set, reason = self.services.set_parameter(_PHYSICS, "rate", rate)
+        if not is_set:
+            raise GibsonSimError(reason)
 
     def reset(self) -> None:
         """Resets the simulation, and discards the messages received so far."""
-        self.services.ask("reset_simulation")
+        self.services.reset()
         self._drain()
         self._epoch += 1
         self._now_ns = 0
@@ -468,28 +467,11 @@ class Client:
             self._executor.spin_once(timeout_sec=0.0)
             idle = idle + 1 if self._events == previous else 0
 
-    # Services
-
-    def call(self, name: str, kind: Any, request: Any) -> Any:
-        """Returns the response of a service; in lockstep, time stands still meanwhile.
-
-        Raises:
-            GibsonSimError: no node offers the service, or it does not respond.
-        """
-        self._moved.update(self._truth)
-        future = self._send(name, kind, request)
-        self._spin_until(ANSWER_S, future.done, f"the response of {name}")
-        return future.result()
-
-    def _send(self, name: str, kind: Any, request: Any) -> Any:
-        client = self._client(name, kind)
-        self._spin_until(DISCOVERY_S, client.service_is_ready, f"the service {name}")
-        return client.call_async(request)
-
-    def _client(self, name: str, kind: Any) -> Any:
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, name)
-        return self._clients[name]
+    def _wait_for_call(self, condition: Callable[[], bool], awaited: Awaited) -> None:
+        """Spins while a service is called; in lockstep, time stands still meanwhile."""
+        if awaited.is_sent:
+            self._moved.update(self._truth)
+        self._spin_until(ANSWER_S if awaited.is_sent else DISCOVERY_S, condition, f"the {awaited}")
 
     # Topics
 

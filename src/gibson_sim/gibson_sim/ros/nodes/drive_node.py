@@ -15,16 +15,18 @@ from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
+from gibson_msgs.msg import RunInfo
 from gibson_sim.client_config import DriveConfig
-from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.errors import ConfigError, GibsonSimError, TextError
 from gibson_sim.maps.floor_map import FloorMap, with_floor_at
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.maps.tour import plan_tour
+from gibson_sim.reading import parse_yaml
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions
-from gibson_sim.ros.client.simulated_world import SimulatedWorld
+from gibson_sim.ros.client.simulation_client import SimulationClient, is_success
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.ros.nodes.node_main import run_node, spin_while, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
@@ -32,9 +34,13 @@ from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import wait_until_acknowledged
 from gibson_sim.ros.topics.silence import SilenceNotice
+from gibson_sim.scenes import worlds
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
 
+logger = logging.getLogger(__name__)
+DEFAULT_ROBOT = "gibson_bot"
+"""Robot of a simulation that was started with several robots, or names none."""
 KEYS = {"w": (1, 0), "x": (-1, 0), "a": (0, 1), "d": (0, -1), "q": (1, 1), "e": (1, -1), "s": (0, 0), " ": (0, 0)}
 """Key -> signs of the linear and the angular velocity."""
 KEY_HELP = "w forward, x backward, a/d turn left/right, q/e forward and turn, s or space stop, Ctrl-C end"
@@ -53,10 +59,14 @@ class DriveNode(Node):
 
     Subscribes:
         ground_truth/odom (nav_msgs/Odometry): the robot's pose; each message causes one command, so the drive follows
-            simulation time at any rate. For a tour without ``scene`` or ``robot``: the topics and services of ``SimulatedWorld``.
+            simulation time at any rate.
+        run_info (gibson_msgs/RunInfo): for a tour without ``scene`` or ``robot``, the robot that the simulation was started with.
 
     Publishes:
         cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``); tick_done (gibson_msgs/TickDone), for lockstep.
+
+    Calls, for a tour without ``scene`` or ``robot``:
+        get_current_world (simulation_interfaces/GetCurrentWorld): the loaded world, which is another one after ``load_world``.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -71,7 +81,7 @@ class DriveNode(Node):
         self._site: tuple[SceneSpec, RobotSpec] | None = None
         """Scene and robot that a tour is planned for."""
         self._map: FloorMap | None = None
-        self._world: SimulatedWorld | None = None
+        self._world: _SimulatedWorld | None = None
         """World that a tour is planned in; None = the settings name it."""
         self._answer: WaitCondition | None = None
         if config.drive == "keyboard":
@@ -84,7 +94,7 @@ class DriveNode(Node):
             if config.scene and config.robot:
                 self._load_map(load_scene(config.scene), config.robot)
             else:
-                self._world = SimulatedWorld(self)
+                self._world = _SimulatedWorld(self)
         else:
             length = config.length or FORWARD_LENGTH
             self._drive = _ScriptDrive(scripted_drive(config.drive, linear=config.linear, angular=config.angular, length=length))
@@ -203,6 +213,48 @@ class DriveNode(Node):
         """Restores the terminal."""
         if self._drive is not None:
             self._drive.close()
+
+
+class _SimulatedWorld:
+    """Requests the world of a simulation, and receives the name of its robot; the owner of the node spins it."""
+
+    def __init__(self, node: Node) -> None:
+        self._simulation = SimulationClient(node)
+        self._robot, self._response = "", None
+        self._subscription = node.create_subscription(RunInfo, names.RUN_INFO, self._on_run_info, qos.RUN_INFO)
+
+    def is_known(self) -> bool:
+        """Returns whether the simulation has named its world and its robot; requests them."""
+        self._response = self._simulation.poll("get_current_world")
+        return bool(self._robot) and self._response is not None
+
+    @property
+    def robot(self) -> str:
+        """Name or path of the robot, once it is known."""
+        return self._robot
+
+    def load_scene(self) -> SceneSpec:
+        """Returns the scene of the world, without robots, once it is known.
+
+        Raises:
+            GibsonSimError: no world is loaded, or its files cannot be read here.
+        """
+        response: Any = self._response
+        if not is_success("get_current_world", response):
+            raise GibsonSimError(f"the simulation names no scene: {response.result.error_message}")
+        resource = response.world.world_resource
+        return worlds.load_world(resource.uri, resource.resource_string, ignore_missing=True)
+
+    def _on_run_info(self, msg: RunInfo) -> None:
+        if msg.kind != "physics":
+            return
+        try:
+            settings = parse_yaml(msg.settings)
+        except TextError as error:
+            logger.warning("run_info of %s cannot be read: %s", msg.node, error)
+            settings = {}
+        robot = str(settings.get("robot", "")) if isinstance(settings, dict) else ""
+        self._robot = DEFAULT_ROBOT if not robot or "=" in robot else robot
 
 
 class _Drive:

@@ -14,7 +14,6 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, Twist
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from simulation_interfaces import msg as sim_msg, srv
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
@@ -22,13 +21,14 @@ from gibson_msgs.msg import Contacts, GraspState, Scene, SceneState as RosSceneS
 from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros import conversions
+from gibson_sim.ros.client.simulation_client import SimulationClient, move_request, spawn_request
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
 from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.tasks.controls import finger_joints
-from gibson_sim.tasks.episode import Action, Episode, Item, Observation, item_root, observation_of
+from gibson_sim.tasks.episode import Action, Episode, Observation, item_root, observation_of
 from gibson_sim.tasks.ground import ground_of
 from gibson_sim.tasks.metrics import Meter, Metrics, episode_line, episode_values, summary, summary_line, touched_by
 from gibson_sim.tasks.registry import check_baseline, task_of
@@ -97,10 +97,11 @@ class TaskNode(Node):
         self._velocity_pub = self.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
         self._joint_pub = self.create_publisher(JointState, names.JOINT_COMMAND, qos.COMMAND)
         self._grasp_pub = self.create_publisher(Bool, names.GRASP, qos.COMMAND)
-        self._spawn = self.create_client(srv.SpawnEntity, "spawn_entity")
-        self._delete = self.create_client(srv.DeleteEntity, "delete_entity")
-        self._place = self.create_client(srv.SetEntityState, "set_entity_state")
-        self._reset = self.create_client(srv.ResetSimulation, "reset_simulation")
+        self._simulation = SimulationClient(
+            self, lambda condition, awaited: self._wait(condition, str(awaited)), names_service=True
+        )
+        for service in ("spawn_entity", "delete_entity", "set_entity_state", "reset_simulation"):
+            self._simulation.prepare(service)
         self.create_service(Trigger, RESET, self._on_reset)
         self._executor = make_executor()
         self._executor.add_node(self)
@@ -240,11 +241,13 @@ class TaskNode(Node):
         self._reset_requested = False
         self._velocity_pub.publish(Twist())
         self._clean_up(episode)
-        self._place_robot(episode.start)
+        pose = conversions.pose_to_msg(episode.start)
+        self._simulation.ask("set_entity_state", move_request(self._ground.robot.name, pose))
         for name in episode.removed:
-            self._call(self._delete, srv.DeleteEntity.Request(entity=name))
+            self._simulation.ask("delete_entity", entity=name)
         for item in episode.items:
-            self._spawn_item(item)
+            text, pose = item.text, conversions.pose_to_msg(item.pose)
+            self._simulation.ask("spawn_entity", spawn_request(pose, item.name, "" if text else item.model, text))
             self._spawned.append(item.name)
         roots = {item_root(item) for item in episode.items}
         assert self._state is not None
@@ -261,36 +264,20 @@ class TaskNode(Node):
         new = {item.name for item in episode.items}
         arm_moved = bool(self._results) and bool(self._ground.robot.manipulators)
         if arm_moved or not present >= set(episode.removed) or (present & new) - {*episode.removed, *self._spawned}:
-            request = srv.ResetSimulation.Request(scope=srv.ResetSimulation.Request.SCOPE_DEFAULT)
             removed, restored = set(self._spawned), {body.name for body in self._ground.scene.bodies}
-            self._call(self._reset, request)
+            self._simulation.reset()
             self._joints_ns = self._grasp_ns = -1
             self._wait(
                 lambda: not removed & self._bodies() - restored and restored <= self._bodies(), "state of the scene after a reset"
             )
         else:
             for name in self._spawned:
-                self._call(self._delete, srv.DeleteEntity.Request(entity=name))
+                self._simulation.ask("delete_entity", entity=name)
         self._spawned.clear()
 
     def _bodies(self) -> set[str]:
         """Returns the names of all robots and bodies in the state."""
         return {link.partition("/")[0] for link in (self._state.links if self._state else ())}
-
-    def _place_robot(self, pose: Pose) -> None:
-        request = srv.SetEntityState.Request(entity=self._ground.robot.name)
-        request.state.pose = conversions.pose_to_msg(pose)
-        for part in ("pose", "twist"):
-            if hasattr(request, f"set_{part}"):
-                setattr(request, f"set_{part}", True)
-        self._call(self._place, request)
-
-    def _spawn_item(self, item: Item) -> None:
-        request = srv.SpawnEntity.Request(name=item.name)
-        resource = request.entity_resource if hasattr(request, "entity_resource") else request
-        resource.uri, resource.resource_string = "" if item.text else item.model, item.text
-        request.initial_pose.pose = conversions.pose_to_msg(item.pose)
-        self._call(self._spawn, request)
 
     def _announce(self, episode: Episode) -> None:
         """Publishes the info and the goal of an episode."""
@@ -318,19 +305,6 @@ class TaskNode(Node):
         stamps = [self._state.stamp_ns if self._state is not None else -1]
         stamps += [self._joints_ns, self._grasp_ns] if self._ground.robot.manipulators else []
         return min(stamps) >= from_ns
-
-    def _call(self, client: Any, request: Any) -> None:
-        """Calls a service of the simulation.
-
-        Raises:
-            GibsonSimError: the service does not respond, or the request fails.
-        """
-        self._wait(client.service_is_ready, f"service {client.srv_name}")
-        future = client.call_async(request)
-        self._wait(future.done, f"response of {client.srv_name}")
-        result = future.result().result
-        if result.result != sim_msg.Result.RESULT_OK:
-            raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
 
     def _wait(self, condition: Callable[[], bool], awaited: str) -> None:
         self._wait_for(WaitCondition(self, awaited, condition, timeout_s=self._config.timeout))

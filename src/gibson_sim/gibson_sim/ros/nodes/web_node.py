@@ -27,7 +27,7 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.processes.job_folder import PAGE, note_in_job
 from gibson_sim.quoting import quoted
 from gibson_sim.resources import FOLDER_TIME
-from gibson_sim.ros.client.requests import STATES
+from gibson_sim.ros.client.simulation_client import STATES, SimulationClient
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.topics import names
@@ -39,7 +39,7 @@ from gibson_sim.ros.web.plot_subscriptions import PlotSubscriptions, plottable
 from gibson_sim.ros.web.real_time_factor import RealTimeFactor
 from gibson_sim.ros.web.robots import Robot, robots_in
 from gibson_sim.ros.web.scene_stream import SceneStream
-from gibson_sim.ros.web.simulation_client import SimulationClient
+from gibson_sim.ros.web.simulation_requests import SimulationRequests
 from gibson_sim.ros.web.task_view import TaskView
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.ros.web.video_subscriptions import VideoSubscriptions, image_topics, label_of
@@ -106,7 +106,8 @@ class WebNode(Node):
         self._diagnostics: dict[str, tuple[dict[str, Any], float]] = {}
         self._sent: dict[str, Any] = {}
         """Kind of rarely changing values -> values that pages received last."""
-        self._simulation = SimulationClient(self)
+        self._services = SimulationClient(self)
+        self._simulation = SimulationRequests(self._services)
         self._recorder, self._recordings = Recorder(), Path(config.folder)
         self.subscribe(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
         self.subscribe(TFMessage, names.TF, self._tree.add, _MANY)
@@ -119,8 +120,8 @@ class WebNode(Node):
         self._plots = PlotSubscriptions(self)
         self._doors = Doors(self)
         self._floors = FloorMaps(self, self._server)
-        self._entities = Entities(self, self._simulation, self._floors.floor_at)
-        self._task = TaskView(self, self._simulation)
+        self._entities = Entities(self._services, self._floors.floor_at)
+        self._task = TaskView(self, self._services)
         self._scene = SceneStream(self, self._server)
         note_in_job(PAGE, self._server.url)
         if not started_by_launcher():  # the launcher prints it once all nodes are ready
@@ -139,7 +140,7 @@ class WebNode(Node):
             if now >= next_fast:
                 next_fast = now + _FAST_PERIOD_S
                 self.guarded("the robots", self._send_moving)
-                self._simulation.check_pending()
+                self._services.check_pending()
             if now >= next_slow:
                 next_slow = now + _SLOW_PERIOD_S
                 self.guarded("the graph", self._poll)
@@ -329,7 +330,7 @@ class WebNode(Node):
         self._send_if_changed("plottable", list(self._plots.types))
         self._send_if_changed("recording", self._recorder.page_values())
         self._send_if_changed("task", self._task_values())
-        if self._simulation.is_available():
+        if self._services.is_offered("get_simulation_state"):
             self._simulation.get_rate(lambda rate: self._send_if_changed("rate", rate))
             for service, request, on_response in (
                 ("get_simulation_state", GetSimulationState.Request(), self._on_state),

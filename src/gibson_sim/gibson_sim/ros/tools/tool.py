@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.processes.domain_lock import is_held
 from gibson_sim.quoting import quoted
+from gibson_sim.ros.client.simulation_client import Awaited, SimulationClient
 from gibson_sim.ros.nodes.node_main import is_running, make_executor
 from gibson_sim.ros.nodes.wait_for_simulation import start_hint
 from gibson_sim.ros.tools.hints import PHYSICS, RENDER, loading_nodes, missing_service, no_simulation, simulation_runs, suggestion
@@ -27,6 +28,8 @@ _LOADING_S = 30.0
 """Timeout for a simulation that is starting: its nodes are discovered and load the scene, s of wall time."""
 PATIENCE_S = 5.0
 """Timeout for the discovery of a name, s of wall time."""
+_RESPONSE_S = 60.0
+"""Timeout for the response of a service, s of wall time."""
 _MORE_TYPES_S = 0.3
 """Time in which a discovered topic may turn out to have a second type, and the last names of a loaded node arrive, s of wall time."""
 _SETTLED_S = 0.5
@@ -49,6 +52,8 @@ class Tool(Node):
         self._execute = execute
         self.start_s = time.monotonic()
         """Wall time at which discovery began, s (monotonic)."""
+        self.services = SimulationClient(self, self._wait_for_call)
+        """Client of the services of all nodes."""
         self._executor = make_executor()
         self._executor.add_node(self)
 
@@ -248,23 +253,17 @@ class Tool(Node):
         AdaptiveSubscription(self, _message_class(kind), name, callback, raw=raw)
         return name, kind
 
-    def call(self, name: str, kind: Any, request: Any) -> Any:
-        """Returns the response of a service.
+    def _wait_for_call(self, condition: Callable[[], bool], awaited: Awaited) -> None:
+        """Spins while a service is called.
 
         Raises:
             GibsonSimError: no node offers the service, or it does not respond.
         """
-        client = self.create_client(kind, name)
-        if not self.spin_until(PATIENCE_S, client.service_is_ready):
-            raise self.missing_service(client.srv_name, type_name_of(kind))
-        return self.response(client, request)
-
-    def response(self, client: Any, request: Any) -> Any:
-        """Returns the response of the service of a client; raises GibsonSimError if it does not respond."""
-        future = client.call_async(request)
-        if not self.spin_until(60.0, future.done):
-            raise GibsonSimError(f"the service {quoted(client.srv_name)} did not respond within 60 s")
-        return future.result()
+        if self.spin_until(_RESPONSE_S if awaited.is_sent else PATIENCE_S, condition):
+            return
+        if not awaited.is_sent:
+            raise self.missing_service(awaited.service, type_name_of(awaited.kind))
+        raise GibsonSimError(f"the service {quoted(awaited.service)} did not respond within {_RESPONSE_S:.0f} s")
 
 
 def full_name(namespace: str, name: str) -> str:

@@ -16,8 +16,7 @@ from simulation_interfaces.srv import GetAvailableWorlds, LoadWorld
 from gibson_sim.errors import GibsonSimError, SceneNotFoundError
 from gibson_sim.quoting import quoted
 from gibson_sim.resources import find_scene
-from gibson_sim.ros.client.requests import flat_pose
-from gibson_sim.ros.client.standard_services import StandardServices
+from gibson_sim.ros.client.simulation_client import SimulationClient, flat_pose
 from gibson_sim.ros.tools.hints import simulation_runs, spawned_as
 from gibson_sim.ros.tools.tool import Tool
 from gibson_sim.ros.topics import names
@@ -34,44 +33,42 @@ _SUBSCRIBER_S = 2.0
 def spawn(tool: Tool, uri: str, at: tuple[float, float, float], name: str = "") -> str:
     """Spawns an entity on the floor at x, y (m) and yaw (rad); returns the text to print."""
     floor = _floor(tool)
-    entity = StandardServices(tool.call).spawn(uri, at, floor.z, name)
+    entity = tool.services.spawn(uri, at, floor.z, name)
     return f"spawned {entity if entity in (uri, name) else f'{uri} as {entity}'} at {at[0]:g},{at[1]:g}{floor.warning(at)}"
 
 
 def move(tool: Tool, name: str, at: tuple[float, float, float]) -> str:
     """Moves an entity to x, y (m) and yaw (rad) on the floor, at rest; returns the text to print."""
-    services = StandardServices(tool.call)
     floor = _floor(tool)
-    _with_hint(services, name, lambda: services.move(name, at, floor.z))
+    _with_hint(tool.services, name, lambda: tool.services.move(name, at, floor.z))
     return f"moved {name} to {at[0]:g},{at[1]:g}{floor.warning(at)}"
 
 
 def delete(tool: Tool, name: str) -> str:
     """Removes an entity; returns the text to print."""
-    services = StandardServices(tool.call)
-    _with_hint(services, name, lambda: services.delete(name))
+    _with_hint(tool.services, name, lambda: tool.services.delete(name))
     return f"deleted {name}"
 
 
 def pause(tool: Tool) -> str:
     """Pauses the simulation; returns the text to print."""
-    return _set_state(tool, SimulationState.STATE_PAUSED, "paused")
+    return "paused" if tool.services.pause() else "already paused"
 
 
 def play(tool: Tool) -> str:
     """Lets time pass; returns the text to print."""
-    return _set_state(tool, SimulationState.STATE_PLAYING, "playing")
+    return "playing" if tool.services.play() else "already playing"
 
 
 def step(tool: Tool, steps: int) -> str:
     """Executes physics steps of a paused simulation; returns the text to print."""
-    StandardServices(tool.call).ask("step_simulation", steps=steps)
+    tool.services.step(steps)
     return f"executed {steps} step{'s' * (steps != 1)}"
 
 
 def reset(tool: Tool) -> str:
     """Resets the simulation; returns the text to print."""
-    StandardServices(tool.call).ask("reset_simulation")
+    tool.services.reset()
     return "reset: time, poses and spawned entities"
 
 
@@ -88,12 +85,11 @@ def load(tool: Tool, world: str) -> str:
         request.world_resource.uri = world
     else:
         request.uri = world
-    services = StandardServices(tool.call)
     try:
-        services.send("load_world", request)
+        tool.services.ask("load_world", request)
     except GibsonSimError as error:
         runs = simulation_runs(tool.offered_services())
-        if runs and services.ask("get_simulation_state").state.state == SimulationState.STATE_NO_WORLD:
+        if runs and tool.services.state == SimulationState.STATE_NO_WORLD:
             raise GibsonSimError(
                 f"{error}; the previous world is unloaded, as the standard requires: load another one"
             ) from error
@@ -120,7 +116,7 @@ def _check_scene_name(tool: Tool, world: str) -> None:
     try:
         description_file(find_scene(world))
     except SceneNotFoundError:
-        listed = tool.call("get_available_worlds", GetAvailableWorlds, GetAvailableWorlds.Request()).worlds
+        listed = tool.services.call("get_available_worlds", GetAvailableWorlds.Request()).worlds
         known = sorted({name for entry in listed for name in (entry.name, entry.world_resource.uri) if "/" not in name})
         if world not in known:
             hint = nearest(world, known)
@@ -128,7 +124,7 @@ def _check_scene_name(tool: Tool, world: str) -> None:
             raise GibsonSimError(f"{text}. The present world stays loaded") from None
 
 
-def _with_hint(services: StandardServices, name: str, act: Callable[[], None]) -> None:
+def _with_hint(services: SimulationClient, name: str, act: Callable[[], None]) -> None:
     """Calls ``act`` for an entity; if ``name`` is a model of the catalogue, the error names the entities that were spawned from it."""
     try:
         act()
@@ -137,10 +133,6 @@ def _with_hint(services: StandardServices, name: str, act: Callable[[], None]) -
         if default_name and (hint := spawned_as(name, default_name, services.entities())):
             raise GibsonSimError(hint) from error
         raise
-
-
-def _set_state(tool: Tool, state: int, text: str) -> str:
-    return text if StandardServices(tool.call).set_state(state) else f"already {text}"
 
 
 class _Floor:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.node import Node
 from simulation_interfaces.msg import SimulationState
-from simulation_interfaces.srv import GetSimulationState
 
-from gibson_sim.ros.topics.discovery import offered_service
+from gibson_sim.ros.client.simulation_client import SimulationClient
 
 SILENT_S = 3.0
 """Time without a message after which the cause is reported, s of wall time."""
@@ -38,11 +36,10 @@ class SilenceNotice:
         now_s: float,
         by_simulation: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._node, self._report, self._otherwise, self._start_s = node, report, otherwise, now_s
+        self._report, self._otherwise, self._start_s = report, otherwise, now_s
         self._by_simulation = by_simulation
-        self._answer: Any = None
+        self._simulation = SimulationClient(node)
         self._ended = False
-        self._client: Any = None
 
     def end(self) -> None:
         """Ends the wait: a message has arrived."""
@@ -56,12 +53,8 @@ class SilenceNotice:
         if not self._by_simulation():
             self._conclude("")
             return
-        if self._client is None and (name := offered_service(self._node, GetSimulationState)):
-            self._client = self._node.create_client(GetSimulationState, name)
-        if self._answer is None and self._client is not None and self._client.service_is_ready():
-            self._answer = self._client.call_async(GetSimulationState.Request())
-        if self._answer is not None and self._answer.done():
-            self._conclude(_HALTED.get(self._answer.result().state.state, ""))
+        if (response := self._simulation.poll("get_simulation_state")) is not None:
+            self._conclude(_HALTED.get(response.state.state, ""))
         elif waited_s > SILENT_S + _ANSWER_S:
             self._conclude("")
 

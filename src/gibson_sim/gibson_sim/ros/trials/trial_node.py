@@ -23,7 +23,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
-from simulation_interfaces import msg as sim_msg, srv
+from simulation_interfaces.msg import SimulationState
 from std_msgs.msg import String
 
 from gibson_msgs.msg import Input, Scene
@@ -34,6 +34,7 @@ from gibson_sim.processes.job_folder import note_in_job
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import read_file
 from gibson_sim.ros import conversions
+from gibson_sim.ros.client.simulation_client import SimulationClient, move_request, spawn_request, state_request
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, write_summary
 from gibson_sim.ros.nodes.params import config_from_parameters
@@ -88,7 +89,6 @@ CALL_TOPICS = {
 } | {names.OBJECT_JOINT_COMMAND: ((f"/{names.OBJECT_JOINT_COMMAND}", True),), PAUSE: (("rq/record/pauseRequest", False),)}
 """Each of ``CONTROLS``, and the service that pauses the recorder -> topics on which its requests arrive, each with whether ROS mangles its
 name in DDS."""
-_OK = sim_msg.Result.RESULT_OK
 _ACTIVE = 3
 """Value of lifecycle_msgs/State.PRIMARY_STATE_ACTIVE."""
 _SUCCEEDED = 4
@@ -162,9 +162,11 @@ class TrialNode(Node):
             self._door_pub = self.create_publisher(JointState, names.OBJECT_JOINT_COMMAND, qos.LATCHED)
             kind = _class_of(message_class, "control_msgs/msg/DynamicJointState")
             self.create_subscription(kind, names.OBJECT_JOINT_STATES, self._on_joints, qos.LATCHED)
-        self._spawn = self.create_client(srv.SpawnEntity, "spawn_entity")
-        self._place = self.create_client(srv.SetEntityState, "set_entity_state")
-        self._set_state = self.create_client(srv.SetSimulationState, "set_simulation_state")
+        self._simulation = SimulationClient(
+            self, lambda condition, awaited: self._wait(condition, str(awaited)), names_service=True
+        )
+        for service in ("spawn_entity", "set_entity_state", "set_simulation_state"):
+            self._simulation.prepare(service)
         node = given.ready.node
         self._lifecycle = (
             self.create_client(_class_of(service_class, "lifecycle_msgs/srv/GetState"), f"{node}/get_state") if node else None
@@ -224,12 +226,7 @@ class TrialNode(Node):
             _wait_for_acknowledgement(self._door_pub)
 
     def _spawn_at(self, name: str, uri: str, text: str, pose: PlanarPose, z: float) -> None:
-        request = srv.SpawnEntity.Request(name=name)
-        resource = request.entity_resource if hasattr(request, "entity_resource") else request
-        resource.uri, resource.resource_string = uri, text
-        request.initial_pose.header.frame_id = WORLD_FRAME
-        request.initial_pose.pose = conversions.pose_to_msg(_pose(pose, z))
-        self._call(self._spawn, request)
+        self._simulation.ask("spawn_entity", spawn_request(conversions.pose_to_msg(_pose(pose, z)), name, uri, text))
 
     def _on_joints(self, msg: Any) -> None:
         bodies = self._input.run.closed_doors
@@ -331,8 +328,7 @@ class TrialNode(Node):
 
     def _play(self) -> None:
         """Starts the simulation."""
-        request = srv.SetSimulationState.Request(state=sim_msg.SimulationState(state=sim_msg.SimulationState.STATE_PLAYING))
-        self._call(self._set_state, request)
+        self._simulation.ask("set_simulation_state", state_request(SimulationState.STATE_PLAYING))
         self._is_playing = True
         self._last_tick_s = time.monotonic()
 
@@ -410,27 +406,11 @@ class TrialNode(Node):
                 on_end()
 
         for number, person in enumerate(people):
-            request = srv.SetEntityState.Request(entity=person.name)
-            request.state.header.frame_id = WORLD_FRAME
-            request.state.pose = conversions.pose_to_msg(_pose(person_pose(person, stamp_ns / NS_PER_S)))
-            if hasattr(request, "set_pose"):
-                request.set_pose = True
-            self._place.call_async(request).add_done_callback(partial(on_response, number))
+            pose = conversions.pose_to_msg(_pose(person_pose(person, stamp_ns / NS_PER_S)))
+            request = move_request(person.name, pose, at_rest=False)
+            self._simulation.begin("set_entity_state", request, partial(on_response, number))
 
     # Waiting
-
-    def _call(self, client: Any, request: Any) -> None:
-        """Calls a service of the simulation.
-
-        Raises:
-            GibsonSimError: the service does not respond, or refuses the request.
-        """
-        self._wait(client.service_is_ready, f"service {client.srv_name}")
-        future = client.call_async(request)
-        self._wait(future.done, f"response of {client.srv_name}")
-        result = future.result().result
-        if result.result != _OK:
-            raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
 
     def _wait(self, condition: Callable[[], bool], awaited: str) -> None:
         limit_s = max(_ANSWER_S, self._input.ready.within)

@@ -9,11 +9,11 @@ from typing import Any
 
 from simulation_interfaces.srv import GetEntityInfo, GetNamedPoseBounds
 
-from gibson_sim.ros.client.requests import OK
-from gibson_sim.ros.web.simulation_client import SimulationClient
+from gibson_sim.ros.client.simulation_client import SimulationClient, is_success
 
 _AT_ONCE = 8
 """Largest number of calls for classes and rooms that are pending at once."""
+_INFO, _BOUNDS = "get_entity_info", "get_named_pose_bounds"
 _ROOM = "room"
 """Tag of the named poses of rooms."""
 _MAX_TEXT = 100
@@ -28,15 +28,14 @@ class Entities:
         get_named_pose_bounds: the extent of each room, once; without it, or without rooms, a page does not group by rooms.
 
     Args:
-        node: node of the service clients.
         simulation: client of the simulation.
         floor_at: returns the index of the floor on which a point is, by its height, m.
     """
 
-    def __init__(self, node: Any, simulation: SimulationClient, floor_at: Callable[[float], int]) -> None:
+    def __init__(self, simulation: SimulationClient, floor_at: Callable[[float], int]) -> None:
         self._simulation, self._floor_at = simulation, floor_at
-        self._info_client = node.create_client(GetEntityInfo, "get_entity_info")
-        self._bounds_client = node.create_client(GetNamedPoseBounds, "get_named_pose_bounds")
+        for service in (_INFO, _BOUNDS):
+            simulation.prepare(service)
         self._classes: dict[str, str | None] = {}
         """Entity -> class; None = the call is pending."""
         self._rooms: dict[str, dict[str, Any] | None] = {}
@@ -71,9 +70,7 @@ class Entities:
                     }
                 )  # fmt: skip
         self._classes = {name: text for name, text in self._classes.items() if name in self.places}
-        self._call_for(
-            self._classes, self.places, self._info_client, lambda name: GetEntityInfo.Request(entity=name), self._on_info
-        )
+        self._call_for(self._classes, self.places, _INFO, lambda name: GetEntityInfo.Request(entity=name), self._on_info)
         return rows
 
     def rooms(self, response: Any) -> list[dict[str, Any]]:
@@ -88,7 +85,7 @@ class Entities:
         self._call_for(
             self._rooms,
             poses,
-            self._bounds_client,
+            _BOUNDS,
             lambda name: GetNamedPoseBounds.Request(name=name),
             lambda name, answer: self._on_bounds(poses[name], answer),
         )
@@ -99,26 +96,26 @@ class Entities:
         self,
         found: dict[str, Any],
         names: Collection[str],
-        client: Any,
+        service: str,
         request: Callable[[str], Any],
         on_response: Callable[[str, Any], None],
     ) -> None:
         """Calls a service for the names of which nothing is known yet, a few at a time."""
-        if not client.service_is_ready():
+        if not self._simulation.is_offered(service):
             return
         new = [name for name in names if name not in found]
         for name in new[: max(0, _AT_ONCE - sum(value is None for value in found.values()))]:
             found[name] = None
-            self._simulation.call(client, request(name), partial(on_response, name), lambda ok, text, value=None: None)
+            self._simulation.begin(service, request(name), partial(on_response, name))
 
     def _on_info(self, name: str, response: Any) -> None:
-        if response is not None and response.result.result == OK:
+        if response is not None and is_success(_INFO, response):
             self._classes[name] = response.info.description[:_MAX_TEXT]
         else:
             self._classes[name] = ""
 
     def _on_bounds(self, pose: Any, response: Any) -> None:
-        points: list[Any] = list(response.bounds.points) if response is not None and response.result.result == OK else []
+        points: list[Any] = list(response.bounds.points) if response is not None and is_success(_BOUNDS, response) else []
         p = pose.pose.position
         corners = [p.x, p.y, p.z] + [value for point in points for value in (point.x, point.y)]
         if len(points) != 2 or not all(map(math.isfinite, corners)):

@@ -14,7 +14,7 @@ from sensor_msgs.msg import LaserScan
 from tf2_msgs.msg import TFMessage
 
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
-from gibson_sim.ros.client.requests import flat_pose
+from gibson_sim.ros.client.simulation_client import flat_pose
 from gibson_sim.ros.topics import names
 from gibson_sim.ros.web.robot_joints import RobotJoints
 from gibson_sim.ros.web.transform_tree import TransformTree

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -16,9 +15,9 @@ from std_srvs.srv import Trigger
 from gibson_msgs.msg import RunInfo
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.reading import parse_yaml
+from gibson_sim.ros.client.simulation_client import SimulationClient
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.web.child_nodes import TaskRunner
-from gibson_sim.ros.web.simulation_client import SimulationClient
 from gibson_sim.web.pages import Answer
 from gibson_sim.web.requests import RunTask
 
@@ -51,8 +50,7 @@ class TaskView:
         node.subscribe(String, _INFO, self._on_info, latched)
         node.subscribe(String, _RESULT, self._on_result, latched)
         node.subscribe(RunInfo, names.RUN_INFO, self._on_run, qos.RUN_INFO)
-        assert isinstance(node, Node)
-        self._reset = node.create_client(Trigger, _RESET)
+        simulation.prepare(_RESET, Trigger)
 
     def ask(self, request: RunTask, answer: Answer) -> None:
         """Starts a task, begins its next episode, or ends the task."""
@@ -60,7 +58,7 @@ class TaskView:
             self._runner.stop()
             answer(True, "")
         elif request.action == "next":
-            self._simulation.call(self._reset, Trigger.Request(), partial(_reset, answer), answer)
+            self._simulation.begin(_RESET, Trigger.Request(), partial(_reset, answer), partial(answer, False))
         elif self._runner.running or self._node.count_publishers(_INFO):
             answer(False, "a task runs already: end it first")
         else:
