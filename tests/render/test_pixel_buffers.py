@@ -152,3 +152,21 @@ def test_frames_stay_when_the_target_changes_and_result_may_be_called_twice(
     assert pending.result() is first
     np.testing.assert_array_equal(first[0].rgb, images["color"][..., :3])
     np.testing.assert_array_equal(first[0].flow, images["FLOW"])
+
+
+def test_joined_frames_are_in_the_order_of_their_positions(
+    context: GlContext, target: RenderTarget, buffers: PixelBuffers
+) -> None:
+    images = random_images(WIDTH, HEIGHT)
+    fill(context, target, images)
+    cameras = {name: replace(EYE, name=name) for name in ("a", "b", "c")}
+
+    def started(*names: str) -> PendingFrames:
+        shots = [TargetImage(cameras[name], 3, np.eye(4)) for name in names]
+        return PendingFrames(context, buffers, [(buffers.start(target), [shot], (k,)) for k, shot in enumerate(shots)])
+
+    joined = PendingFrames.joined([(started("c", "a"), (2, 0)), (started("b"), (1,))])
+    frames = joined.result()
+    assert [frame.camera.name for frame in frames] == ["a", "b", "c"]
+    for frame in frames:
+        np.testing.assert_array_equal(frame.rgb, images["color"][..., :3])

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _RENDER = ("egl_device", "egl_uuid", "egl_library", "detail_px", "compress_textures", "cache", "register_depth", "asset_roots")
 _FILES = ("bag", "cameras", "lights", "randomise")
 """Settings that can be files."""
-_FUNCTION = "gibson_sim.ros.recording.render_units:render_one"
+_FUNCTION = "gibson_sim.ros.recording.render_bag:render_one"
 
 
 def add_parser(subparsers: Any) -> None:

@@ -4,7 +4,6 @@
 Large arrays are copied once, as bytes: assigning a list or an ndarray to a message field takes tens of milliseconds.
 """
 
-from gibson_sim.ros.conversions.arms import collision_count_to_msg, contacts_to_msg, grasp_state_to_msg, tool_twist_from_msg
 from gibson_sim.ros.conversions.basics import (
     header_to_msg,
     pose_from_msg,
@@ -26,12 +25,16 @@ from gibson_sim.ros.conversions.images import (
     label_info_type,
 )
 from gibson_sim.ros.conversions.robot import (
+    collision_count_to_msg,
+    contacts_to_msg,
+    grasp_state_to_msg,
     joint_command_from_msg,
     joint_values,
     odometry_pose,
     planar_covariance,
     planar_from_odometry,
     scan_to_msg,
+    tool_twist_from_msg,
     velocity_from_msg,
 )
 from gibson_sim.ros.conversions.scene import (

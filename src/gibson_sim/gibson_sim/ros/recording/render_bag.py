@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from rclpy.serialization import serialize_message
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
@@ -28,7 +28,7 @@ from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, CameraSchedule, sce
 from gibson_sim.bags.writer import BagWriter, Compression
 from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
-from gibson_sim.errors import ConfigError, GibsonSimError, RenderError
+from gibson_sim.errors import ConfigError, GibsonSimError, RecordError, RenderError
 from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.maps.floor_extent import extent_of_drawn
@@ -54,6 +54,9 @@ from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.scenes.views import FloorExtent, View, Views
 from gibson_sim.sensors.frame_history import FrameHistory
 from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
+
+if TYPE_CHECKING:
+    from gibson_sim.jobs.units import Context
 
 logger = logging.getLogger(__name__)
 _SEPARATOR = "=" * 80
@@ -418,6 +421,34 @@ def _load_lights(path: str) -> LightSpec:
     builder = SceneBuilder(file.stem, file.parent, description=file)
     read_scene_yaml(builder, file)
     return builder.light
+
+
+def render_one(arguments: dict[str, Any], folder: Path, context: Context) -> str:
+    """Renders one bag into the unit's folder; returns the summary as a line. A unit of work for ``jobs``: ``gibson-sim render`` of several bags.
+
+    Args:
+        arguments: ``bag`` and ``render``, the settings; ``files``, the names of the settings in ``bag`` that are files of the unit.
+        folder: folder of the new bag.
+        context: context of the unit.
+
+    Raises:
+        GibsonSimError: the bag cannot be rendered, or the unit is interrupted.
+    """
+    logging.addLevelName(logging.WARNING, "WARN")
+    logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(levelname)s %(message)s")
+    keep_large_blocks()
+    values = arguments["bag"]
+    local_paths = {name: str(context.path(values[name])) for name in arguments["files"]}
+
+    def advance(_: float) -> None:
+        if context.stop():
+            raise KeyboardInterrupt
+
+    job = RenderBagConfig(**{**values, **local_paths, "output": str(folder)})
+    try:
+        return render_bag(job, RenderConfig(**arguments["render"]), advance).text()
+    except KeyboardInterrupt as error:
+        raise RecordError("interrupted: the new bag contains all messages up to now") from error
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -13,8 +13,7 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.tools.arguments import interface_class, parse_values
 from gibson_sim.ros.tools.hints import PHYSICS, suggestion
-from gibson_sim.ros.tools.listing import print_names, with_types
-from gibson_sim.ros.tools.output import print_error, print_line
+from gibson_sim.ros.tools.output import print_error, print_line, print_names, with_types
 from gibson_sim.ros.tools.tool import PATIENCE_S, Tool
 from gibson_sim.ros.tools.yaml_messages import fill, yaml_text
 

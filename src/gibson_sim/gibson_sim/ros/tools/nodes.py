@@ -7,8 +7,7 @@ from rclpy.action.graph import get_action_client_names_and_types_by_node, get_ac
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.tools.arguments import full_node_name
 from gibson_sim.ros.tools.hints import PHYSICS, RENDER, missing_node
-from gibson_sim.ros.tools.listing import print_names
-from gibson_sim.ros.tools.output import print_line
+from gibson_sim.ros.tools.output import print_line, print_names
 from gibson_sim.ros.tools.tool import PATIENCE_S, Tool
 from gibson_sim.ros.topics.names import is_hidden
 

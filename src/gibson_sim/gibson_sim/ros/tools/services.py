@@ -6,8 +6,7 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.tools.arguments import interface_class, parse_values
 from gibson_sim.ros.tools.hints import PHYSICS, type_and_values
-from gibson_sim.ros.tools.listing import print_names, with_types, without_hidden
-from gibson_sim.ros.tools.output import print_line
+from gibson_sim.ros.tools.output import print_line, print_names, with_types, without_hidden
 from gibson_sim.ros.tools.tool import PATIENCE_S, Tool
 from gibson_sim.ros.tools.yaml_messages import fill, yaml_text
 

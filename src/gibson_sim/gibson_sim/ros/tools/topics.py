@@ -15,8 +15,7 @@ from gibson_sim import interrupts
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.tools.hints import PHYSICS, RENDER
-from gibson_sim.ros.tools.listing import print_names, with_types, without_hidden
-from gibson_sim.ros.tools.output import print_error, print_line
+from gibson_sim.ros.tools.output import print_error, print_line, print_names, with_types, without_hidden
 from gibson_sim.ros.tools.tool import USUAL_DISCOVERY_S, Tool, full_name
 from gibson_sim.ros.tools.yaml_messages import field_of, value_text, yaml_text
 from gibson_sim.ros.topics.silence import SilenceNotice

@@ -1,24 +1,30 @@
-"""Shows and drives the robots of a ROS graph for a page: poses, scans, plans, estimates, commands."""
+"""Shows and drives the robots of a ROS graph for a page: poses, scans, plans, estimates, joints, commands."""
 
 from __future__ import annotations
 
 import math
+import time
 from functools import partial
+from pathlib import Path as FilePath
 from typing import Any, Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import LaserScan
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState, LaserScan
+from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
+from gibson_sim.description.urdf import parse_urdf
+from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.quoting import quoted
 from gibson_sim.ros.client.simulation_client import flat_pose
 from gibson_sim.ros.topics import names
-from gibson_sim.ros.web.robot_joints import RobotJoints
 from gibson_sim.ros.web.transform_tree import TransformTree
-from gibson_sim.types import WORLD_FRAME, Pose
+from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
 from gibson_sim.web.requests import Drive, Goal
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -26,6 +32,8 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LATCHED_MANY = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_POINTS = 400
 """Maximum number of points of a scan or a path that are sent to a page, approximately."""
+_JOINTS_PERIOD_NS = NS_PER_S // 5
+"""Period at which the positions of joints are read, ns of wall time."""
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _RADIUS_M = 0.25
 """Radius of a robot's arrow on the map, m."""
@@ -221,6 +229,89 @@ class Robot:
         points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros_like(ranges), np.ones_like(ranges)])
         map_points = (T_map_base @ T_base_scan @ points)[:2].T
         return [(round(x, 3), round(y, 3)) for x, y in map_points.tolist()]
+
+
+class RobotJoints:
+    """The joints of one robot that a page shows and moves: those with position limits.
+
+    Subscribes:
+        robot_description (std_msgs/String): names and limits of the joints.
+        joint_states (sensor_msgs/JointState): positions, deserialized a few times a second, and only for a robot with such joints.
+
+    Publishes:
+        joint_command (sensor_msgs/JointState): the position of a joint that a page moves; created with the first one.
+
+    Args:
+        node: node of the subscriptions, with ``subscribe``.
+        prefix: namespace of the robot with slashes, such as ``/left/``.
+    """
+
+    def __init__(self, node: Any, prefix: str) -> None:
+        self._node, self._prefix = node, prefix
+        self._limits: dict[str, tuple[float, float, str]] = {}
+        """Joint -> lower and upper limit, rad or m, and the unit."""
+        self._positions: dict[str, float] = {}
+        self._next_ns = 0
+        self._publisher: Any = None
+        self._subscriptions = [
+            node.subscribe(String, prefix + names.ROBOT_DESCRIPTION, self._on_description, _LATCHED),
+            node.subscribe(JointState, prefix + names.JOINT_STATES, self._on_states, _NEWEST, raw=True),
+        ]
+
+    def close(self) -> None:
+        """Destroys the subscriptions and the publisher."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        if self._publisher is not None:
+            self._node.destroy_publisher(self._publisher)
+
+    def page_values(self) -> list[dict[str, Any]]:
+        """Returns the values for the page: name, limits, position and unit of each joint."""
+        return [
+            {"name": name, "lower": lower, "upper": upper, "unit": unit, "position": self._positions[name]}
+            for name, (lower, upper, unit) in self._limits.items()
+            if name in self._positions
+        ]
+
+    def move(self, joint: str, position: float) -> tuple[bool, str]:
+        """Commands the position of a joint, rad or m, within its limits; returns whether it was sent, and a text for the page."""
+        if joint not in self._limits:
+            return False, f"{quoted(joint)} is not a joint with limits of this robot"
+        if self._publisher is None:
+            self._publisher = self._node.create_publisher(JointState, self._prefix + names.JOINT_COMMAND, 10)
+        lower, upper, _ = self._limits[joint]
+        if not self._node.count_subscribers(self._prefix + names.JOINT_COMMAND):
+            return (
+                False,
+                f"{(self._prefix + names.JOINT_COMMAND).lstrip('/')} has no subscriber: the robot takes no positions of joints",
+            )
+        self._publisher.publish(JointState(name=[joint], position=[min(max(position, lower), upper)]))
+        return True, ""
+
+    def _on_description(self, msg: String) -> None:
+        try:
+            model = parse_urdf(msg.data, FilePath(f"{self._prefix}{names.ROBOT_DESCRIPTION}"), _no_mesh)
+        except GibsonSimError as error:
+            raise ValueError(str(error)) from error
+        self._limits = {
+            joint.name: (joint.lower, joint.upper, "m" if joint.kind == "prismatic" else "rad")
+            for joint in model.joints
+            if joint.is_bounded and joint.has_motor and math.isfinite(joint.lower) and math.isfinite(joint.upper)
+        }
+
+    def _on_states(self, data: bytes) -> None:
+        now = time.monotonic_ns()
+        if not self._limits or now < self._next_ns:
+            return
+        self._next_ns = now + _JOINTS_PERIOD_NS
+        msg = deserialize_message(data, JointState)
+        self._positions.update(
+            (name, round(position, 3)) for name, position in zip(msg.name, msg.position, strict=False) if math.isfinite(position)
+        )
+
+
+def _no_mesh(name: str, source: FilePath) -> None:
+    """Finds no mesh: only joints are read."""
 
 
 def _matrix(pose: Any) -> Mat4:
