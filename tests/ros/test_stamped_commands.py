@@ -55,7 +55,12 @@ def test_commands_of_the_second_type_arrive_in_the_thread_of_the_node_in_order(
         stamped.start(executor)
         for number in range(20, 40):
             publisher.publish(_command(float(number)))
-        wait_until(lambda: executor.spin_once(timeout_sec=0.05) or len(received) == 40, "commands in the node")
+
+        def has_all() -> bool:
+            executor.spin_once(timeout_sec=0.05)
+            return len(received) == 40
+
+        wait_until(has_all, "commands in the node")
         assert received == [(float(number), True) for number in range(40)]
         stamped.unsubscribe(subscription)
         assert stamped.types == {}

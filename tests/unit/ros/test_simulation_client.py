@@ -73,7 +73,9 @@ class Service:
     """A node, and its client of one service, which a test offers and answers."""
 
     def __init__(self) -> None:
-        self.is_offered, self.futures, self.dropped = False, [], []  # type: ignore[var-annotated]
+        self.is_offered = False
+        self.futures: list[Any] = []
+        self.dropped: list[Any] = []
         self.srv_name, self.srv_type = "/delete_entity", DeleteEntity
 
     def create_client(self, kind: Any, name: str) -> Service:

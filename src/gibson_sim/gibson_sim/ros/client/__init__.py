@@ -1,1 +1,1 @@
-"""Clients of a running simulation: requests to its standard services, and a blocking client for tests."""
+"""Clients of a running simulation: of its services (``simulation_client``), and of its time and topics as well, which blocks, for tests (``client``)."""
