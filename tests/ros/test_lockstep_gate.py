@@ -92,7 +92,7 @@ class Beside:
     def __init__(self) -> None:
         self.callback: Callable[[Any], None] | None = None
 
-    def create_subscription(self, kind: type[Any], topic: str, profile: Any, callback: Callable[[Any], None]) -> str:
+    def subscribe(self, kind: type[Any], topic: str, callback: Callable[[Any], None], profile: Any) -> str:
         self.callback = callback
         return topic
 

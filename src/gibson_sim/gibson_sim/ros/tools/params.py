@@ -63,7 +63,7 @@ def param_list(tool: Tool, node: str | None = None) -> None:
 
 def param_get(tool: Tool, node: str, name: str) -> None:
     """Prints the value of a parameter."""
-    value = tool.services.call(f"{full_node_name(node)}/get_parameters", GetParameters.Request(names=[name])).values[:1]
+    value = tool.client.call(f"{full_node_name(node)}/get_parameters", GetParameters.Request(names=[name])).values[:1]
     if not value or value[0].type == ParameterType.PARAMETER_NOT_SET:
         raise _missing_parameter(tool, node, name)
     label, field, _ = _TYPES[value[0].type]
@@ -74,7 +74,7 @@ def param_get(tool: Tool, node: str, name: str) -> None:
 def param_set(tool: Tool, node: str, name: str, value: str) -> None:
     """Sets a parameter; the node refuses it if it cannot be changed at run time."""
     node = full_node_name(node)
-    description = tool.services.call(f"{node}/describe_parameters", DescribeParameters.Request(names=[name]))
+    description = tool.client.call(f"{node}/describe_parameters", DescribeParameters.Request(names=[name]))
     declared = description.descriptors[0] if description.descriptors else ParameterDescriptor()
     if declared.read_only:
         option = f"`--{name.replace('_', '-')}` of `gibson-sim run`, " if node.rpartition("/")[2] in (PHYSICS, RENDER) else ""
@@ -82,7 +82,7 @@ def param_set(tool: Tool, node: str, name: str, value: str) -> None:
             f"parameter {quoted(name)} of node {node} is read-only: set it when the node starts, with {option}`-p {name}:=...` of `ros2 run`"
         )
     message = ParameterMessage(name=name, value=parameter_value(name, value, declared.type))
-    response = tool.services.call(f"{node}/set_parameters", SetParameters.Request(parameters=[message]))
+    response = tool.client.call(f"{node}/set_parameters", SetParameters.Request(parameters=[message]))
     result = response.results[0]
     if not result.successful:
         if name not in _parameters(tool, node):
@@ -128,7 +128,7 @@ def _guess(value: Any) -> int:
 
 def _parameters(tool: Tool, node_name: str) -> list[str]:
     """Returns the names of a node's parameters, sorted."""
-    return sorted(tool.services.call(f"{node_name}{LIST_PARAMETERS}", ListParameters.Request()).result.names)
+    return sorted(tool.client.call(f"{node_name}{LIST_PARAMETERS}", ListParameters.Request()).result.names)
 
 
 def _missing_parameter(tool: Tool, node: str, name: str) -> GibsonSimError:

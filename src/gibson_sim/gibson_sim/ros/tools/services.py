@@ -44,10 +44,10 @@ def service_call(tool: Tool, service: str, type: str = "", values: str = "") -> 
         raise GibsonSimError(f"{name} has the type {', '.join(offered)}, not {type}")
     kind = interface_class(type or offered[0], "srv")
     request = fill(kind.Request(), parsed)
-    tool.services.discover(name, kind)
+    tool.client.discover(name, kind)
     tool.spin_until(_MATCHING_S)
     print_line(f"requester: making request: {request}\n")
-    response = tool.services.call(name, request)
+    response = tool.client.call(name, request)
     print_line("response:\n" + yaml_text(response, whole=True))
     result = getattr(response, "result", None)
     return 1 if getattr(response, "success", True) is False or getattr(result, "result", 1) not in (1, True) else 0

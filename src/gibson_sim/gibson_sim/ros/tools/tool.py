@@ -52,7 +52,7 @@ class Tool(Node):
         self._execute = execute
         self.start_s = time.monotonic()
         """Wall time at which discovery began, s (monotonic)."""
-        self.services = SimulationClient(self, self._wait_for_call)
+        self.client = SimulationClient(self, self._wait_for_call)
         """Client of the services of all nodes."""
         self._executor = make_executor()
         self._executor.add_node(self)

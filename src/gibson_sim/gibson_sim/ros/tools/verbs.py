@@ -33,42 +33,42 @@ _SUBSCRIBER_S = 2.0
 def spawn(tool: Tool, uri: str, at: tuple[float, float, float], name: str = "") -> str:
     """Spawns an entity on the floor at x, y (m) and yaw (rad); returns the text to print."""
     floor = _floor(tool)
-    entity = tool.services.spawn(uri, at, floor.z, name)
+    entity = tool.client.spawn(uri, at, floor.z, name)
     return f"spawned {entity if entity in (uri, name) else f'{uri} as {entity}'} at {at[0]:g},{at[1]:g}{floor.warning(at)}"
 
 
 def move(tool: Tool, name: str, at: tuple[float, float, float]) -> str:
     """Moves an entity to x, y (m) and yaw (rad) on the floor, at rest; returns the text to print."""
     floor = _floor(tool)
-    _with_hint(tool.services, name, lambda: tool.services.move(name, at, floor.z))
+    _with_hint(tool.client, name, lambda: tool.client.move(name, at, floor.z))
     return f"moved {name} to {at[0]:g},{at[1]:g}{floor.warning(at)}"
 
 
 def delete(tool: Tool, name: str) -> str:
     """Removes an entity; returns the text to print."""
-    _with_hint(tool.services, name, lambda: tool.services.delete(name))
+    _with_hint(tool.client, name, lambda: tool.client.delete(name))
     return f"deleted {name}"
 
 
 def pause(tool: Tool) -> str:
     """Pauses the simulation; returns the text to print."""
-    return "paused" if tool.services.pause() else "already paused"
+    return "paused" if tool.client.pause() else "already paused"
 
 
 def play(tool: Tool) -> str:
     """Lets time pass; returns the text to print."""
-    return "playing" if tool.services.play() else "already playing"
+    return "playing" if tool.client.play() else "already playing"
 
 
 def step(tool: Tool, steps: int) -> str:
     """Executes physics steps of a paused simulation; returns the text to print."""
-    tool.services.step(steps)
+    tool.client.step(steps)
     return f"executed {steps} step{'s' * (steps != 1)}"
 
 
 def reset(tool: Tool) -> str:
     """Resets the simulation; returns the text to print."""
-    tool.services.reset()
+    tool.client.reset()
     return "reset: time, poses and spawned entities"
 
 
@@ -86,10 +86,10 @@ def load(tool: Tool, world: str) -> str:
     else:
         request.uri = world
     try:
-        tool.services.ask("load_world", request)
+        tool.client.ask("load_world", request)
     except GibsonSimError as error:
         runs = simulation_runs(tool.offered_services())
-        if runs and tool.services.state == SimulationState.STATE_NO_WORLD:
+        if runs and tool.client.state == SimulationState.STATE_NO_WORLD:
             raise GibsonSimError(
                 f"{error}; the previous world is unloaded, as the standard requires: load another one"
             ) from error
@@ -116,7 +116,7 @@ def _check_scene_name(tool: Tool, world: str) -> None:
     try:
         description_file(find_scene(world))
     except SceneNotFoundError:
-        listed = tool.services.call("get_available_worlds", GetAvailableWorlds.Request()).worlds
+        listed = tool.client.call("get_available_worlds", GetAvailableWorlds.Request()).worlds
         known = sorted({name for entry in listed for name in (entry.name, entry.world_resource.uri) if "/" not in name})
         if world not in known:
             hint = nearest(world, known)
