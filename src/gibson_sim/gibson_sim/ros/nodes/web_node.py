@@ -106,8 +106,8 @@ class WebNode(Node):
         self._diagnostics: dict[str, tuple[dict[str, Any], float]] = {}
         self._sent: dict[str, Any] = {}
         """Kind of rarely changing values -> values that pages received last."""
-        self._services = SimulationClient(self)
-        self._simulation = SimulationRequests(self._services)
+        self._client = SimulationClient(self)
+        self._simulation = SimulationRequests(self._client)
         self._recorder, self._recordings = Recorder(), Path(config.folder)
         self.subscribe(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
         self.subscribe(TFMessage, names.TF, self._tree.add, _MANY)
@@ -120,8 +120,8 @@ class WebNode(Node):
         self._plots = PlotSubscriptions(self)
         self._doors = Doors(self)
         self._floors = FloorMaps(self, self._server)
-        self._entities = Entities(self._services, self._floors.floor_at)
-        self._task = TaskView(self, self._services)
+        self._entities = Entities(self._client, self._floors.floor_at)
+        self._task = TaskView(self, self._client)
         self._scene = SceneStream(self, self._server)
         note_in_job(PAGE, self._server.url)
         if not started_by_launcher():  # the launcher prints it once all nodes are ready
@@ -140,7 +140,7 @@ class WebNode(Node):
             if now >= next_fast:
                 next_fast = now + _FAST_PERIOD_S
                 self.guarded("the robots", self._send_moving)
-                self._services.check_pending()
+                self._client.check_pending()
             if now >= next_slow:
                 next_slow = now + _SLOW_PERIOD_S
                 self.guarded("the graph", self._poll)
@@ -330,7 +330,7 @@ class WebNode(Node):
         self._send_if_changed("plottable", list(self._plots.types))
         self._send_if_changed("recording", self._recorder.page_values())
         self._send_if_changed("task", self._task_values())
-        if self._services.is_offered("get_simulation_state"):
+        if self._client.is_offered("get_simulation_state"):
             self._simulation.get_rate(lambda rate: self._send_if_changed("rate", rate))
             for service, request, on_response in (
                 ("get_simulation_state", GetSimulationState.Request(), self._on_state),
