@@ -374,7 +374,7 @@ def test_commands_of_a_bag_drive_a_running_robot(start: Callable[..., Launched],
 
 
 def test_bag_of_a_drive_has_every_command_and_lasts_to_the_last_step(start: Callable[..., Launched], tmp_path: Path) -> None:
-    (tmp_path / "drive.txt").write_text("0.2 0.3 0.7\n0 0 0.1\n")
+    (tmp_path / "drive.txt").write_text("0.2 0.3 2.4\n0 0 0.1\n")
     files = ("--record", str(tmp_path / "run"), "--summary", str(tmp_path / "summary.json"))
     options = ("--scene", str(write_room(tmp_path / "room")), "--drive", str(tmp_path / "drive.txt"))
     run = start("run", "--no-render", *options, *files)
@@ -384,7 +384,7 @@ def test_bag_of_a_drive_has_every_command_and_lasts_to_the_last_step(start: Call
         topics = bag.topics()
     obeyed = json.loads((tmp_path / "summary.json").read_text())["physics"]["commands"]
     assert (sent, obeyed, topics["/cmd_vel"].count, topics["/cmd_vel_applied"].count) == (sent,) * 4
-    assert sent > 20, "one for each odometry, but for those that a busy machine lets it miss"
+    assert sent > 10, "one for each of 150 odometry messages, but for those that a stalled machine lets it miss"
     assert last_clock_s(tmp_path / "run") == simulated_s(tmp_path / "summary.json")
 
 

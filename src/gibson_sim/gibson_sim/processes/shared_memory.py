@@ -12,6 +12,9 @@ A port of a dead reader may be open for writing in running processes, which woul
 it *by name*: this would then be the new port of a process with the same number. Before it is removed, such a port is therefore marked as
 unusable in its segment, as Fast DDS itself does after ``healthy_check_timeout_ms`` without a sign of its reader: the others then open the new
 port at their next message, and remove nothing. A port in which the mark is not found is kept, and is replaced after this time.
+
+Several processes that open ports while another one ends can still remove a port that has just been made: its reader would receive nothing any
+more, and would not know. ``reopen_replaced_ports`` finds such ports of its own process and marks them: their reader then opens them anew.
 """
 
 from __future__ import annotations
@@ -103,19 +106,54 @@ def mark_unusable(port: Path) -> bool:
         return False
     try:
         with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as segment:
-            places = [
-                at
-                for at in range(0, min(len(segment), _SEARCHED_BYTES) - _NODE.size + 1, 4)
-                if _is_node(_NODE.unpack_from(segment, at), int(number))
-            ]
-            if len(places) != 1:
+            at = _flags_place(segment[:_SEARCHED_BYTES], int(number))
+            if at is None:
                 return False
-            at = places[0] + _NODE.size - 4
             (flags,) = struct.unpack_from("<I", segment, at)
             struct.pack_into("<I", segment, at, flags & ~_IS_OK)
             return True
     except (OSError, ValueError):  # another user's, or empty
         return False
+
+
+def reopen_replaced_ports() -> list[str]:
+    """Lets Fast DDS open anew the ports of this process whose files another process has removed or replaced; returns their names.
+
+    Readers of such a port receive nothing. They look for the mark whenever they wait, at least every third of ``healthy_check_timeout_ms``.
+    """
+    try:
+        maps = Path("/proc/self/maps").read_text(errors="replace").splitlines()
+        held = {os.readlink(entry) for entry in os.scandir("/proc/self/fd") if entry.is_symlink()}
+    except OSError:
+        return []
+    reopened = []
+    for fields in (line.split() for line in maps if "/fastrtps_port" in line and line.endswith("(deleted)")):
+        path, number = fields[5], fields[5].rpartition("_port")[2]
+        if f"{path}_el" in held and number.isdigit() and _mark_in_memory(int(fields[0].partition("-")[0], 16), int(number)):
+            reopened.append(Path(path).name)
+    return reopened
+
+
+def _mark_in_memory(address: int, number: int) -> bool:
+    """Marks a port that is mapped at an address of this process as unusable; returns False if it is marked, or is not found there."""
+    try:
+        # Other than a pointer, this file gives an error where Fast DDS has closed the port meanwhile.
+        with open("/proc/self/mem", "r+b", buffering=0) as memory:
+            segment = os.pread(memory.fileno(), _SEARCHED_BYTES, address)
+            at = _flags_place(segment, number)
+            flags = struct.unpack_from("<I", segment, at)[0] if at is not None else 0
+            if not flags & _IS_OK:
+                return False
+            os.pwrite(memory.fileno(), struct.pack("<I", flags & ~_IS_OK), address + at)
+            return True
+    except OSError:
+        return False
+
+
+def _flags_place(segment: bytes, number: int) -> int | None:
+    """Returns the offset of the flags in a port's segment, bytes; None if its node is not found, or not unique."""
+    places = [at for at in range(0, len(segment) - _NODE.size + 1, 4) if _is_node(_NODE.unpack_from(segment, at), number)]
+    return places[0] + _NODE.size - 4 if len(places) == 1 else None
 
 
 def _is_node(values: tuple[int, ...], number: int) -> bool:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import re
 import socket
 import sys
 import time
@@ -14,6 +16,7 @@ from typing import Any
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.report_file import add_report_options, print_progress, write_json
 from gibson_sim.errors import ConfigError
+from gibson_sim_bench import timing
 from gibson_sim_bench.browser import chromium
 from gibson_sim_bench.cli.processes import TIMEOUT_S, BenchError, node_result, process
 
@@ -55,8 +58,6 @@ def add_parser(kinds: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Prints the measurements, and writes the JSON file if one is named."""
-    from gibson_sim_bench import timing
-
     if args.seconds <= 0:
         raise ConfigError(f"--seconds {args.seconds:g}: must be above 0")
     require_nodes()
@@ -66,8 +67,10 @@ def run(args: argparse.Namespace) -> int:
         f"{found['images']} images in {found['seconds']:.1f} s: {found['images_per_s']:.1f}/s; from tick to pixels "
         f"{found['latency_ms']['median']:.0f} ms (median), {found['latency_ms']['p95']:.0f} ms (95 %); "
         f"real-time factor {found['real_time_factor']:.2f}; first image {found['first_image_ms']:.0f} ms after the navigation; 3-D drawn "
-        f"{found['drawn_3d_per_s']:.1f}/s; the page's server takes {100.0 * found['server_share']:.0f} % of a core"
+        f"{found['drawn_3d_per_s']:.1f}/s"
     )
+    shares = sorted(found["shares"].items(), key=lambda item: -item[1])
+    print("shares of a core: " + ", ".join(f"{name} {100.0 * share:.0f} %" for name, share in shares))
     write_json(args.json, {"kind": "web", "facts": asdict(facts), **found})
     return 0
 
@@ -82,15 +85,14 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
 
     Returns:
         ``images``, ``seconds``, ``images_per_s``, ``latency_ms`` (``median``, ``p95``), ``real_time_factor``, ``first_image_ms``,
-        ``drawn_3d_per_s`` and ``server_share``, the processor time of the page's server per second. The latency is the wall
-        time from the publication of a tick on /clock to the frame of the browser in which its image is on the page.
+        ``drawn_3d_per_s`` and ``shares``, the processor time per second of ``physics``, ``render``, ``web`` (the page's server) and
+        ``browser``. The latency is the wall time from the publication of a tick on /clock to the frame of the browser in which its
+        image is on the page.
 
     Raises:
         EnvironmentProblemError: there is no Chromium, or no playwright.
         BenchError: the page shows nothing.
     """
-    from gibson_sim_bench import timing
-
     environment, port = node_environment(domain_id=domain_id), _free_port()
     command = [sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", scene, "--web-port", str(port)]
     with chromium(webgl=True) as browser, process(command, environment) as pid, ThreadPoolExecutor(1) as pool:
@@ -99,11 +101,11 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
         page.keyboard.down("a")
         page.wait_for_timeout(_SETTLE_S * 1000)
         print_progress(f"measuring for {seconds:g} s")
-        server = _server_of(pid)
-        drawn, used, begin = page.evaluate(_DRAWN), timing.process_cpu_s(server), time.monotonic()
+        programs = {**_nodes_of(pid), "browser": _browser_processes()}
+        drawn, before, begin = page.evaluate(_DRAWN), _cpu_s(programs), time.monotonic()
         images = page.evaluate(_SAMPLER, seconds)[1:]
         lasted = time.monotonic() - begin
-        drawn, used = page.evaluate(_DRAWN) - drawn, timing.process_cpu_s(server) - used
+        drawn, after = page.evaluate(_DRAWN) - drawn, _cpu_s(programs)
         first_ms = float(page.evaluate("window.firstImage"))
         marks = clock.result()
     if len(images) < 2:
@@ -119,16 +121,41 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
         "real_time_factor": (images[-1][1] - images[0][1]) / passed,
         "first_image_ms": first_ms,
         "drawn_3d_per_s": drawn / lasted,
-        "server_share": used / lasted,
+        "shares": {name: (after[name] - used) / lasted for name, used in before.items()},
     }
 
 
-def _server_of(pid: int) -> int:
-    """Returns the process id of the page's server, a child of the launcher ``pid``."""
-    for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split():
-        if b"web_node" in Path(f"/proc/{child}/cmdline").read_bytes():
-            return int(child)
-    raise BenchError(f"process {pid} has no web node among its children")
+def _nodes_of(pid: int) -> dict[str, list[int]]:
+    """Returns the node processes of the launcher ``pid``: name -> process id."""
+    found = {}
+    for child in _children(pid):
+        if name := re.search(rb"nodes\.(physics|render|web)_node", Path(f"/proc/{child}/cmdline").read_bytes()):
+            found[name[1].decode()] = [child]
+    return found
+
+
+def _browser_processes() -> list[int]:
+    """Returns the ids of the processes below this one that belong to Chromium."""
+    below, found = _children(os.getpid()), []
+    while below:
+        pid = below.pop()
+        below += _children(pid)
+        if Path(f"/proc/{pid}/comm").read_text(encoding="ascii").startswith("chrom"):
+            found.append(pid)
+    return found
+
+
+def _children(pid: int) -> list[int]:
+    return [
+        int(child)
+        for children in Path(f"/proc/{pid}/task").glob("*/children")
+        for child in children.read_text(encoding="ascii").split()
+    ]
+
+
+def _cpu_s(programs: dict[str, list[int]]) -> dict[str, float]:
+    """Returns the processor time of each program, seconds."""
+    return {name: sum(map(timing.process_cpu_s, pids)) for name, pids in programs.items()}
 
 
 def _free_port() -> int:

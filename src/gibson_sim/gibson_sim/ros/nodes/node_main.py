@@ -9,6 +9,8 @@ import logging
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -33,12 +35,15 @@ from rclpy.signals import SignalHandlerOptions
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.processes.node_process import PARENT_VARIABLE
+from gibson_sim.processes.shared_memory import reopen_replaced_ports
 from gibson_sim.quoting import clipped
 from gibson_sim.writing import cannot_write, is_disk_error, write_file
 
 logger = logging.getLogger(__name__)
 
 ExecutorKind = Literal["auto", "events", "standard"]
+PORT_CHECK_S = 5.0
+"""Wall time between two checks of the process's ports in shared memory, seconds."""
 
 
 def run_node(make_node: Callable[[], Any], args: list[str] | None = None, *, interrupted: int = 0) -> None:
@@ -62,6 +67,7 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None, *, int
         unknown = "unknown arguments: " if type(error).__name__ == "UnknownROSArgsError" else ""
         print(f"error: ROS cannot start: {unknown}{error}", file=sys.stderr, flush=True)
         sys.exit(1)
+    threading.Thread(target=_reopen_replaced_ports, daemon=True).start()
     code = 0
     with _signals:
         try:
@@ -72,6 +78,14 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None, *, int
             if not _signals.was_interrupted:
                 raise
     sys.exit(code)
+
+
+def _reopen_replaced_ports() -> None:
+    """Looks for replaced ports of this process from time to time: its node would receive nothing through them any more."""
+    while True:
+        time.sleep(PORT_CHECK_S)
+        if ports := reopen_replaced_ports():
+            logger.info("ports in shared memory that another process has replaced are opened anew: %s", ", ".join(ports))
 
 
 def is_running() -> bool:
