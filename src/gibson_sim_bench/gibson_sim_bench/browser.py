@@ -11,8 +11,9 @@ from typing import Any
 from gibson_sim.errors import EnvironmentProblemError
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
-_WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""Options with which WebGL is rendered without a GPU."""
+_WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
+"""Options with which WebGL is rendered without a GPU. The page itself is composed by the processor, as a browser with a window does without a
+GPU; headless, Chromium would use SwiftShader for it, too, which takes a core for six images a second."""
 
 
 def chromium_path() -> str:
