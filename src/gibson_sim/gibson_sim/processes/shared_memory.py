@@ -141,8 +141,7 @@ def _mark_in_memory(address: int, number: int) -> bool:
         with open("/proc/self/mem", "r+b", buffering=0) as memory:
             segment = os.pread(memory.fileno(), _SEARCHED_BYTES, address)
             at = _flags_place(segment, number)
-            flags = struct.unpack_from("<I", segment, at)[0] if at is not None else 0
-            if not flags & _IS_OK:
+            if at is None or not (flags := struct.unpack_from("<I", segment, at)[0]) & _IS_OK:
                 return False
             os.pwrite(memory.fileno(), struct.pack("<I", flags & ~_IS_OK), address + at)
             return True
