@@ -1,4 +1,4 @@
-"""Terms of CONVENTIONS.md and the way of a command in ARCHITECTURE.md: what they name is where they say."""
+"""Terms of CONVENTIONS.md and the ways in ARCHITECTURE.md, such as that of a command: what they name is where they say."""
 
 from __future__ import annotations
 
@@ -102,23 +102,64 @@ def test_the_way_of_a_command_is_as_drawn(root: Path) -> None:
             assert NEXT[method] in source, f"{owner}.{method} does not lead to {NEXT[method]}"
 
 
-CALLS = {
-    "run": ("load_scenario", "plan_runs", "execute_runs", "_write_report"),
-    "execute_runs": ("execute_run",),
-    "execute_run": ("execute", "judge"),
+WAYS: dict[str, tuple[str, int, dict[str, tuple[str, ...]]]] = {
+    "From SpawnEntity to its picture": ("src/gibson_sim/gibson_sim", 10, {
+        "SimulationServices._on_request": ("SimulationServices._spawn_entity",),
+        "SimulationServices._spawn_entity": ("Population.spawn",),
+        "Population.spawn": ("PhysicsWorld.add",),
+        "PhysicsWorld.add": ("PhysicsNode._publish_changes",),
+        "PhysicsNode._publish_changes": ("WorldInterface.publish_scene",),
+        "WorldInterface.publish_scene": ("RenderNode._on_scene",),
+        "RenderNode._on_scene": ("Renderer.update", "RenderNode._draw"),
+        "Renderer.update": ("Composition.change",),
+    }),
+    "From a scenario to its verdict": ("src/gibson_sim/gibson_sim", 9, {
+        "run": ("load_scenario", "plan_runs", "execute_runs", "_write_report"),
+        "execute_runs": ("execute_run",),
+        "execute_run": ("execute", "judge"),
+        "execute": ("RunMonitor.tick",),
+    }),
+    "From a photograph to a scene": ("src/gibson_sim_tools/gibson_sim_tools", 10, {
+        "import_photographs": ("find_inputs", "PhotographImport.run"),
+        "find_inputs": ("open_photographs",),
+        "PhotographImport.run": (
+            "fuse_scan", "snap_to_planes", "level_transform_from_up", "texture_surface", "write_scene", "check_path",
+        ),
+    }),
+}  # fmt: skip
+"""Heading of a way -> package, number of steps, and for a step the later steps that it, or a private function of its module, leads to."""
+
+HANDOVERS = {
+    "SimulationServices._spawn_entity": r"\(srv\.SpawnEntity, 'spawn_entity', self\._spawn_entity\)",  # by the table of services
+    "Population.spawn": r"\.population\.spawn\(",
+    "PhysicsWorld.add": r"self\._world\.add\(",
+    "PhysicsNode._publish_changes": r"revision=self\.scene\.revision \+ 1",  # which the node compares
+    "RenderNode._on_scene": r"self\._scene_pub\.publish\(",  # by a topic
+    "Renderer.update": r"self\._renderer\.update\(",
+    "Composition.change": r"self\._composition\.change\(",
+    "PhotographImport.run": r"\bjob\.run\(",
+    "execute_run": r"\b_FUNCTION\b",  # by name, in a worker process
+    "RunMonitor.tick": r"self\._start_node\(TRIAL\b",  # in a process of its own
 }
-"""Function of the way of a scenario -> functions further on that it, or a private function of its module, calls."""
+"""Step -> pattern of what leads to it, where a call of its bare name would say too little."""
 
 
-def test_the_way_of_a_scenario_is_as_drawn(root: Path) -> None:
-    text = (root / "ARCHITECTURE.md").read_text().split("## From a scenario to its verdict", 1)[1].split("## ", 1)[0]
-    way = {name: file for file, name in re.findall(r"^\d+\. `([\w/.]+\.py)` `([\w.]+)`", text, re.MULTILINE)}
-    assert len(way) == 9
-    for name, file in way.items():
-        found = _defined(_package(root) / file)
-        private = [node for other, node in found.items() if other.startswith("_")]
-        source = "\n".join(map(ast.unparse, (found[name], *private)))
-        for called in CALLS.get(name, ()):
-            assert called in way
-            calls = rf"(?<!def )\b{called}\(" if called != "execute_run" else r"\b_FUNCTION\b"  # by name, in a worker process
-            assert re.search(calls, source), f"{name} does not lead to {called}"
+@pytest.mark.parametrize("heading", WAYS)
+def test_a_way_is_as_drawn(root: Path, heading: str) -> None:
+    package, count, calls = WAYS[heading]
+    text = (root / "ARCHITECTURE.md").read_text().split(f"## {heading}\n", 1)[1].split("\n## ", 1)[0]
+    steps = re.findall(r"^\d+\. `([\w/.]+\.py)` `([\w.]+)`: ", text, re.MULTILINE)
+    assert len(steps) == count
+    way = {name: _defined(root / package / file) for file, name in steps}
+    assert {name for name, found in way.items() if name not in found} == set()
+    order = list(way)
+    assert sorted(later for all_later in calls.values() for later in all_later) == sorted(order[1:]), (
+        "each step is reached from one before it"
+    )
+    for name, all_later in calls.items():
+        private = [node for other, node in way[name].items() if other.startswith("_")]
+        source = "\n".join(map(ast.unparse, (way[name][name], *private)))
+        for later in all_later:
+            assert order.index(name) < order.index(later)
+            pattern = HANDOVERS.get(later, rf"(?<!def )\b{later.rpartition('.')[2]}\(")
+            assert re.search(pattern, source), f"{name} does not lead to {later}"

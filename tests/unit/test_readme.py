@@ -7,7 +7,16 @@ from pathlib import Path
 
 from gibson_sim.cli.commands.params import markdown
 
-SHORT_CELLS = ("README.md", "ARCHITECTURE.md", "features.md", "first_session.md", "index.md", "commands.md", "web.md")
+SHORT_CELLS = (
+    "README.md",
+    "ARCHITECTURE.md",
+    "CONTRIBUTING.md",
+    "features.md",
+    "first_session.md",
+    "index.md",
+    "commands.md",
+    "web.md",
+)
 """Pages whose tables have cells of at most 200 characters; elsewhere the limit is 300. A longer text is a section or a list."""
 
 
