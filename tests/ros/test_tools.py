@@ -45,12 +45,16 @@ def _run(*words: str) -> tuple[int, str]:
 def _run_together(*commands: str) -> list[tuple[int, str]]:
     """Returns the same for several commands that do not depend on each other: each mostly waits for discovery.
 
-    Fast DDS reports ports of its shared memory that processes open at the same instant, and takes others: these lines are left out.
+    Fast DDS reports ports of its shared memory that processes open at the same instant, and takes others; a busy machine takes long enough for
+    the notice of what a tool waits for. These lines are left out.
     """
     with ThreadPoolExecutor(len(commands)) as pool:
         found = list(pool.map(lambda command: _run(*shlex.split(command)), commands))
     return [
-        (code, "".join(line for line in text.splitlines(keepends=True) if "RTPS_TRANSPORT_SHM" not in line))
+        (
+            code,
+            "".join(line for line in text.splitlines(keepends=True) if not re.search("RTPS_TRANSPORT_SHM|^waiting for /", line)),
+        )
         for code, text in found
     ]
 

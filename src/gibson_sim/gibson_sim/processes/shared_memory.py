@@ -19,6 +19,7 @@ more, and would not know. ``reopen_replaced_ports`` finds such ports of its own 
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import mmap
 import os
@@ -121,12 +122,11 @@ def reopen_replaced_ports() -> list[str]:
 
     Readers of such a port receive nothing. They look for the mark whenever they wait, at least every third of ``healthy_check_timeout_ms``.
     """
-    try:
-        maps = Path("/proc/self/maps").read_text(errors="replace").splitlines()
-        held = {os.readlink(entry) for entry in os.scandir("/proc/self/fd") if entry.is_symlink()}
-    except OSError:
-        return []
-    reopened = []
+    maps = Path("/proc/self/maps").read_text(errors="replace").splitlines()
+    reopened, held = [], set()
+    for descriptor in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):  # closed meanwhile
+            held.add(os.readlink(f"/proc/self/fd/{descriptor}"))
     for fields in (line.split() for line in maps if "/fastrtps_port" in line and line.endswith("(deleted)")):
         path, number = fields[5], fields[5].rpartition("_port")[2]
         if f"{path}_el" in held and number.isdigit() and _mark_in_memory(int(fields[0].partition("-")[0], 16), int(number)):
