@@ -55,7 +55,7 @@ def _run(environment: dict[str, str], folder: Path, *words: str) -> subprocess.C
     )
 
 
-def test_it_runs_drives_and_records(alone: dict[str, str], tmp_path: Path, ros_domain: int) -> None:
+def test_core_package_alone_simulates_drives_and_records(alone: dict[str, str], tmp_path: Path, ros_domain: int) -> None:
     bag = tmp_path / "drive"
     done = _run(
         alone, tmp_path, "run", "--scene", "flat", "--drive", "tour", "--duration", "2", "--record", str(bag), "--lockstep"
@@ -68,7 +68,7 @@ def test_it_runs_drives_and_records(alone: dict[str, str], tmp_path: Path, ros_d
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
-def test_what_is_not_installed_is_named_in_one_line(alone: dict[str, str], tmp_path: Path) -> None:
+def test_command_of_a_missing_package_fails_in_one_line(alone: dict[str, str], tmp_path: Path) -> None:
     done = _run(alone, tmp_path, "scene", "import", "mesh.glb", "--output", "out")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (

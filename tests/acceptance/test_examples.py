@@ -16,7 +16,7 @@ def _run(root: Path, name: str, *arguments: str) -> subprocess.CompletedProcess[
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
 
 
-def test_a_thing_is_spawned_and_a_path_is_driven(ros_domain: int, root: Path) -> None:
+def test_examples_spawn_an_object_and_drive_a_path(ros_domain: int, root: Path) -> None:
     launched = Launched("run", "--no-render")
     try:
         launched.wait_for_line("reach: ")

@@ -1,4 +1,4 @@
-"""The README's way for users with ROS, from colcon build to Ctrl-C, on whatever ROS is here."""
+"""The README's workflow for users with ROS, from colcon build to Ctrl-C, with the ROS installation of this machine."""
 
 from __future__ import annotations
 

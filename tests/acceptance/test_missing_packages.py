@@ -1,4 +1,4 @@
-"""A package that is not installed is one line with its remedy where it is needed, and never a traceback."""
+"""Use of a package that is not installed ends with one line and its remedy, never with a traceback."""
 
 from __future__ import annotations
 

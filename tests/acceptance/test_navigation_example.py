@@ -34,18 +34,18 @@ def _told(trial: Trial) -> str:
     return "\n".join(map(describe, trial.runs))
 
 
-def test_every_goal_is_reached_within_a_quarter_of_a_metre_by_the_truth(trial: Trial) -> None:
+def test_every_goal_is_reached_within_25_cm_of_ground_truth(trial: Trial) -> None:
     assert len(trial.runs) == RUNS
     assert all(run.status.startswith("reached") and run.error <= 0.25 for run in trial.runs), _told(trial)
 
 
-def test_robot_touches_nothing(trial: Trial) -> None:
+def test_robot_has_no_collisions(trial: Trial) -> None:
     assert all(run.clearance >= 0.175 for run in trial.runs), _told(trial)
 
 
-def test_every_run_leads_through_two_doorways(trial: Trial) -> None:
+def test_every_run_passes_through_two_doorways(trial: Trial) -> None:
     assert all(len(run.doorways) >= 2 for run in trial.runs), _told(trial)
 
 
-def test_robot_knows_where_it_is_to_a_decimetre(trial: Trial) -> None:
+def test_localisation_error_stays_within_a_decimetre(trial: Trial) -> None:
     assert all(run.localisation_error < 0.1 for run in trial.runs), _told(trial)

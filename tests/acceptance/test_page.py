@@ -1,4 +1,4 @@
-"""The live page in a real browser: what it shows moves, what is pressed drives, what is lost stops."""
+"""The live page in a real browser: displays, driving, and the stop of the robot when the connection is lost."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _stamp(page: Any) -> float:
     return float(page.get_attribute("canvas[data-stamp]", "data-stamp"))
 
 
-def test_the_image_and_the_map_are_there_at_desktop_and_phone_size(page: Any, tmp_path: Path) -> None:
+def test_page_shows_image_and_map_at_desktop_and_phone_size(page: Any, tmp_path: Path) -> None:
     page.wait_for_function("document.querySelector('#catalogue').options.length > 10")
     first = _stamp(page)
     page.wait_for_function(f"Number(document.querySelector('canvas[data-stamp]').dataset.stamp) > {first + 0.5}")
@@ -148,7 +148,7 @@ def test_a_lost_page_stops_the_robot(browser: Any, address: str, listener: Liste
     truth.wait_for(lambda: truth.stands, "robot that stands once its page is gone")
 
 
-def test_two_pages_show_the_same_and_one_drives(page: Any, browser: Any, address: str) -> None:
+def test_two_pages_show_the_same_state_and_only_one_drives(page: Any, browser: Any, address: str) -> None:
     other = browser.new_page(viewport=PHONE, bypass_csp=True)
     other.goto(address)
     other.wait_for_selector("canvas[data-stamp]", timeout=60_000)
@@ -217,7 +217,7 @@ def _delete(page: Any) -> None:
     page.fill("#search", "")
 
 
-def test_a_thing_is_spawned_moved_and_deleted_by_clicks(page: Any) -> None:
+def test_an_object_is_spawned_moved_and_deleted_by_clicks(page: Any) -> None:
     page.click("[data-mode=spawn]")
     page.wait_for_function("document.querySelector('#catalogue').options.length > 10")
     assert page.input_value("#catalogue") == "ball", "things come first; a robot is seldom what one wants to put down"
@@ -234,7 +234,7 @@ def test_a_thing_is_spawned_moved_and_deleted_by_clicks(page: Any) -> None:
     page.wait_for_selector(f"[data-key='e:{name}']", state="detached")
 
 
-def test_what_is_spawned_beside_the_floor_and_what_the_symbols_mean_is_said(page: Any) -> None:
+def test_page_warns_of_an_object_off_the_floor_and_its_legend_explains_the_symbols(page: Any) -> None:
     page.wait_for_selector("#legend li[data-of=robot]:visible")
     assert page.locator("#legend li[data-of=path]").count() == 0, "no path is drawn"
     drawn = """() => [...document.querySelectorAll('#legend canvas')].map(
@@ -248,7 +248,7 @@ def test_what_is_spawned_beside_the_floor_and_what_the_symbols_mean_is_said(page
     _delete(page)
 
 
-def test_a_thing_is_dragged_on_the_map(page: Any, listener: Listener) -> None:
+def test_an_object_is_dragged_on_the_map(page: Any, listener: Listener) -> None:
     _reset(page, listener)
     _spawn(page, "box_cardboard", "#map", _pixel(page, 2.2, 4.7))
     x, y = _selected_place(page)
@@ -258,7 +258,7 @@ def test_a_thing_is_dragged_on_the_map(page: Any, listener: Listener) -> None:
     _delete(page)
 
 
-def test_a_thing_is_put_down_selected_and_dragged_in_3_d(page: Any, listener: Listener) -> None:
+def test_an_object_is_placed_selected_and_dragged_in_3_d(page: Any, listener: Listener) -> None:
     _reset(page, listener)
     page.wait_for_function("Number(document.querySelector('#scene3d').dataset.drawn) > 3", timeout=60_000)
     box = page.locator("#scene3d").bounding_box()
@@ -372,7 +372,7 @@ def test_a_drawer_is_opened_by_its_slider_and_a_door_by_its_button(page: Any, li
     _delete(page)
 
 
-def test_a_thing_is_selected_on_the_map(page: Any, listener: Listener) -> None:
+def test_an_object_is_selected_on_the_map(page: Any, listener: Listener) -> None:
     _reset(page, listener)
     place = _pixel(page, 1.9, 4.3)
     name = _spawn(page, "mug", "#map", place)
@@ -438,7 +438,7 @@ def test_pictures_of_all_cameras_are_one_file(page: Any, tmp_path: Path) -> None
         assert all(pictures.read(name).startswith(b"\xff\xd8") for name in pictures.namelist())
 
 
-def test_a_page_that_is_opened_while_time_is_paused_shows_the_present(page: Any) -> None:
+def test_a_page_opened_while_time_is_paused_shows_the_current_state(page: Any) -> None:
     page.click("#pause")
     page.wait_for_selector("#state.paused")
     page.wait_for_timeout(1500)
@@ -515,7 +515,7 @@ def test_labels_do_not_cover_each_other_and_rooms_come_first(page: Any) -> None:
             assert not (a[0] < b[2] and a[2] > b[0] and a[1] < b[3] and a[3] > b[1]), f"{name} lies over {other}"
 
 
-def test_labels_leave_symbols_free(page: Any) -> None:
+def test_labels_do_not_cover_symbols(page: Any) -> None:
     placed = """async () => {
         const { FloorMap } = await import('/page/map.js'), canvas = document.createElement('canvas');
         const map = new FloorMap(canvas, {}), boxes = [], c = map.context;
@@ -712,7 +712,7 @@ def test_a_joint_of_an_arm_follows_its_slider(page: Any) -> None:
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_serious(page: Any, size: dict[str, int], scheme: str) -> None:
+def test_axe_reports_no_serious_accessibility_violations(page: Any, size: dict[str, int], scheme: str) -> None:
     page.set_viewport_size(size)
     page.emulate_media(color_scheme=scheme)
     page.evaluate(AXE_SCRIPT)

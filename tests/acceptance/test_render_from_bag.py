@@ -1,4 +1,4 @@
-"""A recorded run is drawn again: what comes out is what the renderer draws at the recorded states, with their stamps."""
+"""A recorded run is rendered again: images equal those of the renderer at the recorded states, with their stamps."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _expected(camera: CameraSpec, ticks: list[int]) -> list[Any]:
     return frames
 
 
-def test_own_cameras_are_drawn_at_the_recorded_ticks(drawn: tuple[Path, Path]) -> None:
+def test_cameras_of_the_bag_are_rendered_at_the_recorded_ticks(drawn: tuple[Path, Path]) -> None:
     ticks = [2, 4, 6, 8, 10, 12]
     images = _messages(drawn[0], "/own/image_raw")
     assert [header_stamp_ns(m.header.stamp) for m in images] == [STATES[tick - 1].stamp_ns for tick in ticks]
@@ -144,7 +144,7 @@ def test_own_cameras_are_drawn_at_the_recorded_ticks(drawn: tuple[Path, Path]) -
         assert np.array_equal(image_to_array(message), frame.rgb)
 
 
-def test_all_outputs_of_another_camera_are_those_of_the_renderer(drawn: tuple[Path, Path]) -> None:
+def test_all_outputs_of_an_added_camera_equal_those_of_the_renderer(drawn: tuple[Path, Path]) -> None:
     (scene, *_) = _messages(drawn[1], "/scene")
     (camera,) = conversions.scene_from_msg(scene).cameras
     frames = _expected(camera, [3, 6, 9, 12])
@@ -160,7 +160,7 @@ def test_all_outputs_of_another_camera_are_those_of_the_renderer(drawn: tuple[Pa
             )
 
 
-def test_states_and_everything_else_are_in_the_new_bag(drive: Path, drawn: tuple[Path, Path]) -> None:
+def test_new_bag_contains_the_states_and_all_other_topics(drive: Path, drawn: tuple[Path, Path]) -> None:
     recorded, new = _messages(drive, "/scene_state"), _messages(drawn[1], "/scene_state")
     assert [header_stamp_ns(m.header.stamp) for m in new] == [header_stamp_ns(m.header.stamp) for m in recorded]
     assert all(np.abs(a.poses - b.poses).max() < 1e-6 for a, b in zip(recorded, new, strict=True))
@@ -180,7 +180,7 @@ def test_the_new_bag_is_a_data_set(drawn: tuple[Path, Path], tmp_path: Path) -> 
     assert "4 frames of eye" in report.lines[0]
 
 
-def test_a_part_of_the_run_has_what_was_latched_before(drive: Path, tmp_path: Path) -> None:
+def test_a_part_of_the_run_contains_earlier_latched_messages(drive: Path, tmp_path: Path) -> None:
     job = RenderBagConfig(bag=str(drive), output=str(tmp_path / "part"), begin=0.05, end=0.12, outputs="depth")
     render_bag(job, RENDER)
     assert [header_stamp_ns(m.header.stamp) for m in _messages(tmp_path / "part", "/own/depth/image_raw")] == [
@@ -200,7 +200,7 @@ def test_a_missing_file_is_named_with_the_setting_that_helps(tmp_path: Path) -> 
         render_bag(RenderBagConfig(bag=str(tmp_path / "bag"), output=str(tmp_path / "out")), RENDER)
 
 
-def test_bytes_end_where_the_message_ends(tmp_path: Path) -> None:
+def test_serialised_messages_have_no_trailing_bytes(tmp_path: Path) -> None:
     # No K and no D: empty sequences of float64, for which serialize_message leaves room that nothing fills.
     camera = CameraSpec("around", "", width=8, height=4, projection="equirectangular")
     scene = DrawnScene("yard", 1, "", ("robot/base",), (), (camera, SCENES[1].cameras[0]), LightSpec())

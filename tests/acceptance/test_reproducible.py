@@ -1,4 +1,4 @@
-"""The same run again, to the bit: two cameras, a lidar, an IMU with noise, and a controller in a process of its own.
+"""Repeated runs are bit-equal: two cameras, a lidar, an IMU with noise, and a controller in a process of its own.
 
 By default 300 ticks, over two starts; ``GIBSON_REPRODUCIBLE_RUNS=10`` makes it 1,000 ticks over ten.
 """
@@ -115,18 +115,18 @@ def test_every_tick_and_every_due_image_has_a_digest(first: list[Digests]) -> No
         assert sum(t == topic for _, _, t in first[0]) == TICKS // every, topic
 
 
-def test_a_reset_run_is_the_first_one_again(first: list[Digests]) -> None:
+def test_run_after_a_reset_equals_the_first_run(first: list[Digests]) -> None:
     assert _differing(*first) == []
 
 
 @pytest.mark.parametrize("start", range(1, STARTS))
-def test_another_start_is_the_same_run_also_on_a_busy_machine(first: list[Digests], robot: Path, start: int) -> None:
+def test_restarted_simulation_repeats_the_run_also_on_a_busy_machine(first: list[Digests], robot: Path, start: int) -> None:
     with busy_machine() if start % 2 else contextlib.nullcontext():
         (again,) = _run(robot)
     assert _differing(first[0], again) == []
 
 
-def test_a_pipeline_repeats_its_runs_too_and_they_are_other_ones(first: list[Digests], robot: Path) -> None:
+def test_pipelined_runs_are_repeatable_and_differ_from_unpipelined_runs(first: list[Digests], robot: Path) -> None:
     one, after_reset = _run(robot, "--pipelined", resets=1)
     with busy_machine():
         (again,) = _run(robot, "--pipelined")
@@ -136,7 +136,7 @@ def test_a_pipeline_repeats_its_runs_too_and_they_are_other_ones(first: list[Dig
     assert _differing(one, first[0]), "a command takes effect one tick later"
 
 
-def test_without_lockstep_the_run_is_another_one(first: list[Digests], robot: Path) -> None:
+def test_run_without_lockstep_differs(first: list[Digests], robot: Path) -> None:
     """Shows that the digests of this file can differ: the controller's answers arrive when they arrive."""
     with busy_machine():
         (free,) = _run(robot, lockstep=False)

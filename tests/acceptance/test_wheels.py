@@ -158,7 +158,7 @@ def _run(prefix: Path, folder: Path, *words: str) -> subprocess.CompletedProcess
     )
 
 
-def test_wheels_have_all_that_an_index_wants(wheels: list[Path]) -> None:
+def test_wheels_have_the_metadata_that_a_package_index_requires(wheels: list[Path]) -> None:
     assert tuple(sorted(wheel.name.partition("-")[0] for wheel in wheels)) == OURS
     tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
     for wheel in wheels:
@@ -180,7 +180,7 @@ def test_wheels_have_all_that_an_index_wants(wheels: list[Path]) -> None:
             ]
 
 
-def test_the_first_picture_of_a_pip_user(installed: Path, tmp_path: Path, ros_domain: int) -> None:
+def test_pip_installation_renders_a_first_image(installed: Path, tmp_path: Path, ros_domain: int) -> None:
     """The process that starts it is of another environment with ROS from pip, whose variables it inherits."""
     done = _run(installed, tmp_path, "gibson-sim", "run", "--snapshot", "pictures")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -193,7 +193,7 @@ def test_the_first_picture_of_a_pip_user(installed: Path, tmp_path: Path, ros_do
     assert all(Path(file).is_relative_to(installed) for file in where.stdout.split()) and where.stdout
 
 
-def test_an_own_node_finds_the_message_packages(
+def test_a_user_node_finds_the_message_packages(
     installed: Path, tmp_path: Path, ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"):

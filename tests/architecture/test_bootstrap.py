@@ -1,4 +1,4 @@
-"""The set-up, as far as it can be seen without setting anything up."""
+"""The set-up, as far as it can be tested without installing anything."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_unsupported_python_is_refused_in_one_line(
     assert "must be CPython 3.0; choose one with PYTHON=" in error
 
 
-def test_folder_that_is_not_ours_is_left_alone(bootstrap: ModuleType, tmp_path: Path) -> None:
+def test_folder_not_created_by_the_set_up_is_left_alone(bootstrap: ModuleType, tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("precious")
     with pytest.raises(bootstrap.SetupError, match="was not made by this set-up"):
         bootstrap.make_venv(tmp_path)
@@ -113,7 +113,7 @@ def test_packages_installed_in_place_are_put_into_the_ament_index(bootstrap: Mod
     }
 
 
-def test_modules_whose_loops_the_set_up_compiles_are_all_that_have_some(bootstrap: ModuleType, root: Path) -> None:
+def test_set_up_compiles_the_loops_of_every_module_with_compiled_loops(bootstrap: ModuleType, root: Path) -> None:
     # Of what simulates; the loops of the tools are compiled when a tool first needs them.
     found = {
         path for path in (root / "src" / "gibson_sim").rglob("*.py") if re.search(r"^@compiled$", path.read_text(), re.MULTILINE)
@@ -143,7 +143,7 @@ def test_every_package_belongs_to_a_section(bootstrap: ModuleType) -> None:
     assert all(len(bootstrap.pinned(name)) >= 1 for name in (*bootstrap.BUILD_TOOLS, *bootstrap.MESSAGE_TOOLS, "uv", "pip"))
 
 
-def test_uv_is_told_what_pip_reads_in_its_files_and_variables(
+def test_uv_gets_the_settings_of_pip_files_and_variables(
     bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [name for name in os.environ if name.startswith(("PIP_", "XDG_", "SSL_", "HTTP"))]:

@@ -1,4 +1,4 @@
-"""Terms of CONVENTIONS.md and the ways in ARCHITECTURE.md, such as that of a command: what they name is where they say."""
+"""Terms of CONVENTIONS.md and the paths in ARCHITECTURE.md, such as that of a command, name existing code."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ def _names(package: Path) -> list[tuple[str, str]]:
         ("where is it decided who can reach a simulation?", "reach", "reach.py"),
     ],
 )
-def test_one_grep_answers(root: Path, question: str, words: str, file: str) -> None:
+def test_one_grep_finds_the_file_of_each_concept(root: Path, question: str, words: str, file: str) -> None:
     found = {where for where, name in _names(_package(root)) if words in name.lower()}
     assert file in found and len(found) <= MOST_PLACES, f"{question} grep {words}: {sorted(found)}"
 
 
-def test_the_way_of_a_command_is_as_drawn(root: Path) -> None:
+def test_path_of_a_command_matches_the_diagram(root: Path) -> None:
     text = (root / "ARCHITECTURE.md").read_text().split("## From a command to its picture", 1)[1].split("## ", 1)[0]
     way = re.findall(r"^\d+\. `([\w/.]+\.py)` `(\w+)\.(\w+)`", text, re.MULTILINE)
     assert len(way) == 15
@@ -145,7 +145,7 @@ HANDOVERS = {
 
 
 @pytest.mark.parametrize("heading", WAYS)
-def test_a_way_is_as_drawn(root: Path, heading: str) -> None:
+def test_each_path_matches_its_diagram(root: Path, heading: str) -> None:
     package, count, calls = WAYS[heading]
     text = (root / "ARCHITECTURE.md").read_text().split(f"## {heading}\n", 1)[1].split("\n## ", 1)[0]
     steps = re.findall(r"^\d+\. `([\w/.]+\.py)` `([\w.]+)`: ", text, re.MULTILINE)

@@ -1,4 +1,4 @@
-"""The borders between the parts of the package."""
+"""Import rules between the layers of the package."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_the_launcher_loads_neither_physics_nor_pictures() -> None:
+def test_launcher_loads_neither_physics_nor_renderer() -> None:
     told = "main(['run', '--scene', '/none', '--domain-id', 'x'])"
     command = f"""import sys
 from gibson_sim.cli.main import main
@@ -77,7 +77,7 @@ def test_help_names_every_command() -> None:
     )
 
 
-def test_what_others_add_is_named_where_it_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_of_a_missing_package_names_that_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "entry_points", lambda group: ())
     assert commands.not_installed(["scene", "import", "mesh.glb"]) == (
         "`gibson-sim scene import` comes with the package gibson_sim_tools, which is not installed; "
@@ -87,7 +87,7 @@ def test_what_others_add_is_named_where_it_is_not_installed(monkeypatch: pytest.
     assert commands.not_installed(["scene", "map", "flat"]) == commands.not_installed(["run"]) == ""
 
 
-def test_each_command_that_another_package_adds_is_known_to_be_added() -> None:
+def test_every_command_added_by_another_package_is_listed_with_that_package() -> None:
     of_others = {("scene", name) for name in commands.scene_command_modules()} | {(name,) for name in commands.command_modules()}
     ours = {("scene", name) for name in commands.SCENE_COMMANDS} | {(name,) for name in commands.COMMANDS}
     assert of_others - ours == set(commands.BROUGHT_BY)
@@ -102,7 +102,7 @@ def _sources(root: Path) -> list[tuple[str, Path]]:
     ]
 
 
-def test_yaml_and_xml_of_strangers_are_parsed_in_one_place(root: Path) -> None:
+def test_untrusted_yaml_and_xml_are_parsed_in_one_place(root: Path) -> None:
     parses = re.compile(r"yaml\.(safe_)?load|yaml\.compose|(ElementTree|ET)\.(fromstring|parse|iterparse|XML)\(")
     found = {
         f"{name}: {line.strip()}"

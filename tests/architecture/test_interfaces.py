@@ -1,4 +1,4 @@
-"""The message packages that stand in for those of a ROS installation: whole, and understood by programs that have the others."""
+"""The message packages that replace those of a ROS installation: complete, and with the same type hashes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def prefix_of(package: str) -> Path:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_each_type_is_the_one_that_other_programs_have(root: Path, package: str) -> None:
+def test_each_type_has_the_published_type_hash(root: Path, package: str) -> None:
     wanted = {name: value for name, value in published(root).items() if name.startswith(f"{package}/")}
     found = {}
     for file in (prefix_of(package) / "share" / package).glob("*/*.json"):

@@ -1,4 +1,4 @@
-"""What colcon, pip and the set-up make of the source tree."""
+"""How colcon, pip and the set-up read the source tree."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_all_packages_have_the_same_version(root: Path, package: str) -> None:
         assert set(re.findall(r'"gibson_\w+==(.*?)"', _setup_py(root, package))) <= {version}
 
 
-def test_colcon_sees_each_package_as_what_it_is(root: Path, tmp_path: Path) -> None:
+def test_colcon_detects_the_build_type_of_each_package(root: Path, tmp_path: Path) -> None:
     require("colcon_core", "colcon_ros")
     command = [sys.executable, "-m", "colcon", "--log-base", os.devnull, "list"]
     env = {**os.environ, "COLCON_HOME": str(tmp_path)}
@@ -73,7 +73,7 @@ def test_colcon_sees_each_package_as_what_it_is(root: Path, tmp_path: Path) -> N
     ]
 
 
-def test_links_are_relative_and_lead_somewhere(root: Path) -> None:
+def test_symbolic_links_are_relative_and_resolve(root: Path) -> None:
     links = [
         "ros_ws/src/gibson_msgs",
         "ros_ws/src/gibson_sim",
@@ -124,7 +124,7 @@ def test_setup_py_needs_what_the_code_imports_and_nothing_else(root: Path, packa
     assert needed - imported == NOT_IMPORTED.get(package, set())
 
 
-def test_our_tf_message_is_the_one_that_other_programs_know(root: Path) -> None:
+def test_our_tf_message_equals_the_jazzy_definition(root: Path) -> None:
     require("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

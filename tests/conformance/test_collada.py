@@ -444,7 +444,7 @@ def test_morph_is_drawn_in_its_base_shape(tmp_path: Path) -> None:
     "left out",
     "geometry alone is read",
 )
-def test_what_is_not_geometry_is_named(tmp_path: Path, libraries: str, node: str, scene: str, word: str) -> None:
+def test_elements_other_than_geometry_are_named(tmp_path: Path, libraries: str, node: str, scene: str, word: str) -> None:
     text = _text(
         libraries=libraries,
         node=node + PLACE.format(BIND.format("")),

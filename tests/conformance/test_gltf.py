@@ -77,7 +77,7 @@ def test_a_file_for_a_later_version_is_refused(tmp_path: Path) -> None:
 
 
 @rule(FORMAT, "asset.copyright, generator, extras, name", "done", "without influence on the picture")
-def test_notes_change_nothing(tmp_path: Path) -> None:
+def test_extras_names_and_custom_attributes_are_ignored(tmp_path: Path) -> None:
     gltf = Gltf().triangle(FLAT)
     gltf.document["asset"] |= {"copyright": "2026", "generator": "by hand", "extras": {"a": [1]}}
     gltf.document["nodes"][0] |= {"name": "n", "extras": 3}
@@ -305,7 +305,7 @@ def test_a_mirroring_node_keeps_fronts(tmp_path: Path) -> None:
 
 
 @rule(FORMAT, "EXT_mesh_gpu_instancing", "done")
-def test_instances_are_drawn_each(tmp_path: Path) -> None:
+def test_each_instance_is_drawn(tmp_path: Path) -> None:
     gltf = Gltf().triangle(FLAT)
     gltf.document["extensionsRequired"] = gltf.document["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
     attributes = {"TRANSLATION": gltf.accessor([[1.0, 0, 0], [2.0, 0, 0]]), "SCALE": gltf.accessor([[1.0, 1, 1], [3.0, 3, 3]])}
@@ -661,7 +661,7 @@ def test_metallic_and_roughness_are_1_by_default(tmp_path: Path) -> None:
     "approximated",
     "matte instead of rough metal, which few exporters mean",
 )
-def test_a_material_that_says_nothing_of_metal_is_matte_with_a_warning(tmp_path: Path) -> None:
+def test_a_material_without_metallic_and_roughness_is_matte_with_a_warning(tmp_path: Path) -> None:
     material, (warning,) = material_of({"name": "wall"}, tmp_path)
     assert (material.metallic, material.roughness) == (0.0, 1.0)
     assert "drawn matte" in warning and "rough metal" in warning
@@ -699,7 +699,7 @@ def test_emission_is_scaled(tmp_path: Path) -> None:
 
 
 @rule(FORMAT, "normalTexture, occlusionTexture, emissiveTexture, metallicRoughnessTexture", "done")
-def test_maps_find_their_places(tmp_path: Path) -> None:
+def test_texture_maps_are_assigned_to_their_slots(tmp_path: Path) -> None:
     source = {
         "pbrMetallicRoughness": {"metallicRoughnessTexture": {"index": 0}},
         "normalTexture": {"index": 1, "scale": 0.5}, "occlusionTexture": {"index": 2, "strength": 0.25}, "emissiveTexture": {"index": 3},
@@ -804,7 +804,7 @@ def test_a_transform_scales_then_rotates_then_moves(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("transform", [{}, {"offset": [0, 0], "scale": [1.0, 1.0]}, {"rotation": 0.0}])
-def test_a_transform_that_changes_nothing_is_no_other_mapping(tmp_path: Path, transform: dict[str, Any]) -> None:
+def test_an_identity_texture_transform_keeps_the_mapping(tmp_path: Path, transform: dict[str, Any]) -> None:
     emissive = {"index": 1, "extensions": {"KHR_texture_transform": transform}}
     source = {
         "pbrMetallicRoughness": {**MATTE, "baseColorTexture": {"index": 0}}, "emissiveTexture": emissive, "emissiveFactor": [1, 1, 1],
@@ -862,7 +862,7 @@ def test_other_image_formats_are_named(tmp_path: Path, name: str) -> None:
     "done",
     "the bytes decide: PNG, JPEG, WebP and what else OpenCV decodes; others are left out with a warning",
 )
-def test_the_bytes_of_an_image_decide(tmp_path: Path) -> None:
+def test_image_format_is_detected_from_its_bytes(tmp_path: Path) -> None:
     source = {"pbrMetallicRoughness": {**MATTE, "baseColorTexture": {"index": 0}}}
     gltf = Gltf().triangle(FLAT, uvs=UVS, material=0)
     gltf.document |= {"materials": [source], "textures": [{"source": 0}], "images": [{"mimeType": "image/jpeg"}]}

@@ -154,7 +154,7 @@ def test_poses_are_relative_to_frames_of_their_scope() -> None:
 
 
 @rule(FORMAT, "pose[frame]", "done", "SDF 1.5 and 1.6: the same as `relative_to`")
-def test_the_frame_of_older_versions_is_what_the_pose_is_relative_to() -> None:
+def test_frame_attribute_of_older_versions_is_read_as_relative_to() -> None:
     found, _ = scope(
         '<link name="a"><pose>1 0 0 0 0 0</pose></link><link name="b"><pose frame="a">1 0 0 0 0 0</pose></link>', "1.6"
     )
@@ -407,7 +407,7 @@ def test_primitives_have_their_sizes(tmp_path: Path, geometry: str, kind: str, s
 
 @rule(FORMAT, "sizes of primitives", "refused", "missing, or not above 0: left out in a world, a body is refused")
 @pytest.mark.parametrize("geometry", ["<box/>", "<sphere><radius>-1</radius></sphere>", "<capsule><radius>1</radius></capsule>"])
-def test_sizes_that_make_no_sense_are_named(tmp_path: Path, geometry: str) -> None:
+def test_invalid_sizes_are_named(tmp_path: Path, geometry: str) -> None:
     got = body(tmp_path, f'<link name="l"><collision name="c"><geometry>{geometry}</geometry></collision></link>').model
     assert warned(got.warnings, "link l", "must be finite and above 0")
 
@@ -946,7 +946,7 @@ def test_prefixes_need_not_be_declared(tmp_path: Path) -> None:
         ('<frame name="f"><pose relative_to="gone"/></frame>', "", "'gone'"),
     ],
 )
-def test_frames_that_mean_nothing_are_named(tmp_path: Path, content: str, attributes: str, words: str) -> None:
+def test_frames_without_effect_are_named(tmp_path: Path, content: str, attributes: str, words: str) -> None:
     got = body(tmp_path, f'<link name="l">{VISUAL}</link>{content}', attributes=attributes).model
     assert warned(got.warnings, words)
 
@@ -960,7 +960,7 @@ def test_frames_that_mean_nothing_are_named(tmp_path: Path, content: str, attrib
         '<light name="x" type="directional"><diffuse>1 1 1 1</diffuse><direction>0 0</direction></light>',
     ],
 )  # fmt: skip
-def test_numbers_that_make_no_sense_are_named(tmp_path: Path, content: str) -> None:
+def test_invalid_numbers_are_named(tmp_path: Path, content: str) -> None:
     assert warned(world(tmp_path, content + SIMPLE).warnings, "must be", "the default is used")
 
 
@@ -1094,7 +1094,7 @@ def test_models_are_included_by_path(tmp_path: Path, uri: str) -> None:
 
 
 @rule(FORMAT, "several <world>", "approximated", "the first")
-def test_of_several_worlds_the_first_is_read(tmp_path: Path) -> None:
+def test_first_of_several_worlds_is_read(tmp_path: Path) -> None:
     (tmp_path / "w.sdf").write_text(f'<sdf version="1.9"><world name="a">{SIMPLE}</world><world name="b"/></sdf>')
     assert warned(load_scene(tmp_path / "w.sdf").warnings, "several worlds; the first, 'a', is used")
 
@@ -1145,7 +1145,7 @@ def test_a_chain_of_frames_that_is_too_long_is_refused_in_one_line() -> None:
 
 
 @rule(FORMAT, "<geometry> with several shapes", "approximated", "the first")
-def test_of_several_shapes_the_first_is_used(tmp_path: Path) -> None:
+def test_first_of_several_shapes_is_used(tmp_path: Path) -> None:
     shapes = "<geometry><box><size>1 2 3</size></box><sphere><radius>1</radius></sphere></geometry>"
     got = body(tmp_path, f'<link name="l"><collision name="c">{shapes}</collision></link>').model
     assert [c.shape.kind for c in got.links[-1].collisions] == ["box"]
@@ -1160,7 +1160,7 @@ def test_shapes_without_a_geometry_are_named(tmp_path: Path, tag: str) -> None:
 
 
 @rule(FORMAT, "elements that count once", "approximated", "<pose>, <geometry>, <inertial>, ...: the first")
-def test_of_elements_that_count_once_the_first_counts(tmp_path: Path) -> None:
+def test_first_of_repeated_unique_elements_is_used(tmp_path: Path) -> None:
     poses = "<pose>1 0 0 0 0 0</pose><pose>2 0 0 0 0 0</pose>"
     scene = world(tmp_path, f'<model name="m"><static>1</static>{poses}<link name="l">{VISUAL}</link></model>')
     assert places(scene) == [(1, 0, 0)]

@@ -74,7 +74,7 @@ def test_colours_are_named(tmp_path: Path, options: dict[str, object]) -> None:
 
 
 @rule(FORMAT, "binary: other attributes", "done", "no colours without the highest bit; their meaning is their program's")
-def test_attributes_without_the_mark_are_no_colours(tmp_path: Path) -> None:
+def test_attribute_bytes_without_the_colour_bit_are_ignored(tmp_path: Path) -> None:
     assert corners(_part(tmp_path, _binary(attribute=0x5EF7))) == [TRIANGLE]
 
 
@@ -129,7 +129,7 @@ def test_binary_that_begins_with_solid(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["vertex 1 2 3", "facet", "outer loop", "my solid", "endsolid", "_part"])
 @rule(FORMAT, "ASCII: name of a solid", "done", "any text to the end of the line; a byte order mark is skipped")
-def test_name_of_a_solid_is_no_geometry(tmp_path: Path, name: str) -> None:
+def test_keywords_in_the_name_of_a_solid_are_not_read_as_geometry(tmp_path: Path, name: str) -> None:
     data = f"\ufeffsolid {name}\n{FACET}endsolid {name}\n"
     assert corners(_part(tmp_path, data.encode())) == [TRIANGLE]
     # White space of any kind separates words, so that a file may be one line.

@@ -5,5 +5,5 @@ from __future__ import annotations
 from conformance.rules import PAGE, page
 
 
-def test_the_page_of_formats_is_that_of_the_tests() -> None:
+def test_formats_page_matches_the_conformance_tests() -> None:
     assert PAGE.read_text() == page(), "write it again: PYTHONPATH=tests python -m conformance.rules"

@@ -85,7 +85,7 @@ def test_another_version_is_named() -> None:
 
 
 @rule("URDF", "another outermost element", "refused")
-def test_what_is_no_robot_is_refused() -> None:
+def test_root_element_other_than_robot_is_refused() -> None:
     with pytest.raises(RobotError, match=r"^\S+: the outermost element is <model>, must be <robot>$"):
         parse_urdf("<model/>", Path("r.urdf"))
 
@@ -152,7 +152,7 @@ def test_attributes_that_the_format_does_not_have_are_named() -> None:
 @rule(
     "URDF", "more than one of <inertial>, <geometry>, <origin>, <limit>, ...", "approximated", "the first counts, as in urdfdom"
 )
-def test_of_elements_that_count_once_the_first_counts() -> None:
+def test_first_of_repeated_unique_elements_is_used() -> None:
     one, two = (
         f'<inertial><mass value="{kg}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>' for kg in (1, 2)
     )
@@ -183,7 +183,7 @@ def test_inertia_is_in_the_frame_of_its_origin() -> None:
 
 
 @rule("URDF", "<inertia ixy ixz iyz>", "done")
-def test_products_of_inertia_count() -> None:
+def test_products_of_inertia_are_used() -> None:
     inertia = '<inertia ixx="2" ixy="0.1" ixz="0.2" iyy="2" iyz="0.3" izz="2"/>'
     (group,), _ = rigid_groups(parse(f'<link name="a"><inertial><mass value="3"/>{inertia}</inertial></link>'))
     assert group.inertia == pytest.approx(np.array([[2, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 2]]))
@@ -220,7 +220,7 @@ def test_a_negative_mass_is_refused() -> None:
 
 
 @rule("URDF", "several <visual> and <collision> of a link", "done", "all, in the order of the file")
-def test_all_visuals_and_collisions_count_in_their_order() -> None:
+def test_all_visuals_and_collisions_are_read_in_order() -> None:
     sizes = [0.3, 0.1, 0.2]
     shapes = "".join(f'<visual><geometry><sphere radius="{r}"/></geometry></visual>' for r in sizes)
     shapes += "".join(f'<collision><geometry><sphere radius="{r}"/></geometry></collision>' for r in sizes)
@@ -330,13 +330,13 @@ def test_a_material_is_named_in_visuals() -> None:
 
 
 @rule("URDF", "<material> within a visual", "done", "its name is known to all other visuals")
-def test_a_material_of_a_visual_is_known_to_others() -> None:
+def test_a_material_defined_in_one_visual_is_available_to_others() -> None:
     own = f'<visual>{BALL}<material name="m"><color rgba="1 0 0 1"/></material></visual>'
     assert [v.color for v in link(own + f'<visual>{BALL}<material name="m"/></visual>').visuals] == [(1.0, 0.0, 0.0, 1.0)] * 2
 
 
 @rule("URDF", '<material name=""> within a visual', "done", "of this visual alone")
-def test_materials_without_a_name_are_of_one_visual() -> None:
+def test_unnamed_materials_apply_to_their_visual_only() -> None:
     texts = (f'<visual>{BALL}<material name=""><color rgba="{c} 0 0 1"/></material></visual>' for c in (1, 0))
     assert [v.color for v in link("".join(texts)).visuals] == [(1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)]
 
@@ -347,7 +347,7 @@ def test_materials_without_a_name_are_of_one_visual() -> None:
     "approximated",
     "the first counts, that of the robot before those in visuals, as in ROS",
 )
-def test_of_two_materials_of_one_name_the_first_counts() -> None:
+def test_first_of_two_materials_with_one_name_is_used() -> None:
     own = f'<link name="a"><visual>{BALL}<material name="m"><color rgba="1 0 0 1"/></material></visual></link>'
     model = parse(own + '<material name="m"><color rgba="0 0 1 1"/></material>')
     assert model.links[0].visuals[0].color == (0.0, 0.0, 1.0, 1.0)
@@ -542,7 +542,7 @@ def test_parts_of_a_robot_that_are_not_simulated_are_named(element: str, why: st
 
 
 @rule("URDF", "<gazebo>: mu1, mu2", "done", "Coulomb friction: the lower of both, at most 1.5")
-def test_frictions_for_gazebo_count() -> None:
+def test_gazebo_friction_is_used() -> None:
     model = parse('<link name="a"/><gazebo reference="a"><mu1>0.8</mu1><mu2>0.6</mu2></gazebo>')
     assert (model.links[0].friction, model.warnings) == (0.6, ())
 
@@ -562,7 +562,7 @@ def test_sensors_for_gazebo_are_read() -> None:
 
 
 @rule("URDF", "<gazebo>: other sensors, plugins, and properties (kp, kd, material, ...)", "left out", "named")
-def test_what_only_gazebo_acts_on_is_named() -> None:
+def test_gazebo_only_elements_are_named() -> None:
     inside = '<material>Gazebo/Red</material><kp>1e6</kp><sensor name="s" type="gps"/><plugin filename="libp.so"/>'
     assert parse(f'<link name="a"/><gazebo reference="a">{inside}</gazebo>').warnings == (
         "r.urdf: left out of <gazebo>, for Gazebo alone: <material>, <kp>, sensor 's' of type 'gps', plugin libp.so",
@@ -575,7 +575,7 @@ def test_what_only_gazebo_acts_on_is_named() -> None:
     "done",
     "an extension of Bullet",
 )
-def test_contact_properties_of_bullet_count() -> None:
+def test_bullet_contact_properties_are_used() -> None:
     values = {"lateral_friction": 0.9, "rolling_friction": 0.01, "spinning_friction": 0.02, "stiffness": 1e4, "damping": 10.0}
     inside = "".join(f'<{key} value="{value}"/>' for key, value in values.items())
     found = link(f"<contact>{inside}</contact>")

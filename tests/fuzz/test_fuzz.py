@@ -29,7 +29,7 @@ def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fuzzer]:
         yield made
 
 
-def test_no_mutant_does_harm(fuzzer: Fuzzer) -> None:
+def test_no_mutant_produces_a_finding(fuzzer: Fuzzer) -> None:
     assert not fuzzer.tally.findings, "\n".join(fuzzer.tally.lines())
 
 
@@ -47,7 +47,7 @@ def test_mutants_follow_from_seed_and_number(tmp_path: Path) -> None:
     assert made[0] == made[1]
 
 
-def test_inputs_without_a_change_are_whole_and_a_foreign_exception_is_a_fault(fuzzer: Fuzzer, tmp_path: Path) -> None:
+def test_unchanged_inputs_are_accepted_and_an_unexpected_exception_is_a_fault(fuzzer: Fuzzer, tmp_path: Path) -> None:
     write_mutant(TARGETS["mesh"], mutator_of("mesh", SEED, -1), tmp_path / "whole")
     assert fuzzer.try_folder("mesh", tmp_path / "whole")["reached"] in ("renderer", "physics")  # without EGL nothing is drawn
     (tmp_path / "empty" / "files").mkdir(parents=True)
@@ -59,12 +59,12 @@ def test_inputs_without_a_change_are_whole_and_a_foreign_exception_is_a_fault(fu
     [(1.75, 0.01, False), (9.0, 0.01, False), (30.0, 2.0, False), (30.0, 1.0, True)],
     ids=["a busy machine", "not yet suspicious", "slow as the unchanged input", "much slower than the unchanged input"],
 )
-def test_call_is_slow_only_beside_the_unchanged_input(slowest_s: float, unchanged_s: float, faulty: bool) -> None:
+def test_call_is_slow_only_relative_to_the_unchanged_input(slowest_s: float, unchanged_s: float, faulty: bool) -> None:
     outcome = Outcome(slowest="load_run", slowest_s=slowest_s)
     assert bool(slow_fault(outcome, lambda: unchanged_s)) is faulty
 
 
-def test_reply_that_tells_what_stands_in_a_file_is_a_fault() -> None:
+def test_reply_that_reveals_file_content_is_a_fault() -> None:
     trial = Trial()
     trial.reply("spawn", f"link {SECRET!r} is unknown")
     assert "content of a file" in trial.outcome.faults[0]

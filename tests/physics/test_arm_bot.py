@@ -57,7 +57,7 @@ def tilt(world: PhysicsWorld) -> float:
     return 2 * math.hypot(x, y)
 
 
-def test_its_dimensions_are_those_of_its_documentation(arm_bot: RobotSpec) -> None:
+def test_dimensions_match_the_documentation(arm_bot: RobotSpec) -> None:
     assert arm_bot.drive is not None
     assert (arm_bot.drive.wheel_radius, arm_bot.radius) == pytest.approx((0.0625, 0.272))
     model = read_urdf(arm_bot.urdf)
@@ -77,12 +77,12 @@ def test_its_dimensions_are_those_of_its_documentation(arm_bot: RobotSpec) -> No
     assert ready[2, 3] == pytest.approx(0.88, abs=0.01)
 
 
-def test_tucked_it_stays_within_the_circle_of_its_base(arm_bot: RobotSpec, world: PhysicsWorld) -> None:
+def test_tucked_arm_stays_within_the_circle_of_the_base(arm_bot: RobotSpec, world: PhysicsWorld) -> None:
     low, high = world.bounds("robot")
     assert max(-low[0], -low[1], high[0], high[1]) < arm_bot.radius + 0.03
 
 
-def test_it_stands_still(arm_bot: RobotSpec, world: PhysicsWorld) -> None:
+def test_robot_stands_still(arm_bot: RobotSpec, world: PhysicsWorld) -> None:
     world.step(480)
     assert np.hypot(*world.base_pose("robot").position[:2]) < 1e-4
     assert tilt(world) < 1e-4
@@ -91,7 +91,7 @@ def test_it_stands_still(arm_bot: RobotSpec, world: PhysicsWorld) -> None:
 
 
 @pytest.mark.parametrize(("linear", "angular"), [(0.3, 0.0), (0.3, -0.5)])
-def test_it_moves_as_commanded_within_two_percent(world: PhysicsWorld, linear: float, angular: float) -> None:
+def test_robot_follows_velocity_commands_within_two_percent(world: PhysicsWorld, linear: float, angular: float) -> None:
     for _ in range(200):
         world.command("robot", VelocityCommand((linear, 0.0, 0.0), (0.0, 0.0, angular), world.stamp_ns))
         world.step()
@@ -99,7 +99,7 @@ def test_it_moves_as_commanded_within_two_percent(world: PhysicsWorld, linear: f
     assert (speed[0], spin[2]) == pytest.approx((linear, angular), rel=0.02, abs=0.002)
 
 
-def test_stretched_out_with_a_kilogram_it_holds_and_does_not_tip(arm_bot: RobotSpec, make_scene: MakeScene) -> None:
+def test_stretched_arm_holds_a_kilogram_and_robot_does_not_tip(arm_bot: RobotSpec, make_scene: MakeScene) -> None:
     robot = posed(arm_bot, "stretched")
     scene = with_box(make_scene(robot), (1.13, 0.0, 0.787), 0.05)
     with PhysicsWorld(scene) as world:
@@ -115,7 +115,7 @@ def test_stretched_out_with_a_kilogram_it_holds_and_does_not_tip(arm_bot: RobotS
         assert 55.0 < efforts["shoulder_lift_joint"] < 0.6 * model.joint("shoulder_lift_joint").effort
 
 
-def test_its_gripper_lifts_a_kilogram_by_friction_alone(arm_bot: RobotSpec, make_scene: MakeScene) -> None:
+def test_gripper_lifts_a_kilogram_by_friction_alone(arm_bot: RobotSpec, make_scene: MakeScene) -> None:
     robot = posed(arm_bot, "ready")
     x, y, z = read_urdf(robot.urdf).transforms(dict(robot.joints))["gripper_link"][:3, 3].tolist()
     stand = CollisionSpec("stand", Shape("box", (0.05, 0.05, z - 0.03)), Pose((x, y, (z - 0.03) / 2)))
@@ -134,7 +134,7 @@ def test_its_gripper_lifts_a_kilogram_by_friction_alone(arm_bot: RobotSpec, make
         assert world.body_pose("box").position == pytest.approx((x, y, z + 0.05), abs=0.002)
 
 
-def test_it_is_as_it_was_after_a_reset(arm_bot: RobotSpec, world: PhysicsWorld) -> None:
+def test_reset_restores_the_initial_state(arm_bot: RobotSpec, world: PhysicsWorld) -> None:
     world.command_joints("robot", JointPositions((0.0,), ("elbow_flex_joint",)))
     world.step(120)
     assert abs(positions(world)["elbow_flex_joint"] - 1.72) > 0.5

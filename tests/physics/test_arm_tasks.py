@@ -86,7 +86,7 @@ def test_equal_seeds_give_equal_episodes_and_others_differ(arena: Ground, name: 
 
 
 @pytest.mark.parametrize("name", ARM_TASKS)
-def test_no_episode_begins_done_nor_with_furniture_in_something(arena: Ground, name: str) -> None:
+def test_no_episode_starts_solved_or_with_intersecting_furniture(arena: Ground, name: str) -> None:
     task = task_of(name)
     for seed in range(3):
         episode = task.generate(seed, arena)
@@ -107,7 +107,7 @@ def test_even_seeds_are_drawers_and_odd_ones_doors(arena: Ground) -> None:
     assert len({front.link for front in fronts}) > 2
 
 
-def test_what_is_in_a_drawer_or_on_a_shelf_is_behind_the_closed_front(arena: Ground) -> None:
+def test_object_in_a_drawer_or_on_a_shelf_is_behind_the_closed_front(arena: Ground) -> None:
     task = OpenCabinet()
     for seed in range(4):
         episode = task.generate(seed, arena)
@@ -117,7 +117,7 @@ def test_what_is_in_a_drawer_or_on_a_shelf_is_behind_the_closed_front(arena: Gro
         assert front.clearance(obs, episode.items[1]) == 0.0
 
 
-def test_a_room_without_a_place_is_refused(arena: Ground) -> None:
+def test_a_room_without_space_for_the_task_is_refused(arena: Ground) -> None:
     rows, columns = np.indices(arena.floor.shape)
     # 1.2 x 1.2 m of floor are left.
     small = replace(arena.floor, occupied=arena.floor.occupied | (rows > 26) | (columns > 26))
@@ -146,7 +146,7 @@ def test_a_robot_without_an_arm_is_refused(name: str) -> None:
     ],
     ids=["near", "too far", "held", "moving", "hand at it"],
 )
-def test_a_thing_is_placed_where_it_rests_within_3_cm_and_is_let_go(
+def test_an_object_is_placed_once_it_rests_within_3_cm_and_is_released(
     arena: Ground, offset: float, tool: float, held: str, speed: float, done: bool
 ) -> None:
     task = PickAndPlace()
@@ -163,7 +163,7 @@ def test_a_thing_is_placed_where_it_rests_within_3_cm_and_is_let_go(
         assert task.remaining(episode, obs, arena) == pytest.approx(offset, abs=1e-6)
 
 
-def test_both_places_are_apart_and_on_surfaces(arena: Ground) -> None:
+def test_pick_and_place_positions_are_apart_and_on_surfaces(arena: Ground) -> None:
     task = PickAndPlace()
     for seed in (0, 1, 2, 3, 200):  # in the last one, no other item is on the small table of the first place that is drawn
         episode = task.generate(seed, arena)
@@ -176,7 +176,7 @@ def test_both_places_are_apart_and_on_surfaces(arena: Ground) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1], ids=["drawer", "door"])
-def test_a_thing_is_fetched_when_it_is_held_outside_and_the_front_is_open(arena: Ground, seed: int) -> None:
+def test_an_object_is_fetched_once_it_is_held_outside_and_the_front_is_open(arena: Ground, seed: int) -> None:
     task = OpenCabinet()
     episode = task.generate(seed, arena)
     cabinet, enough = furniture_of(episode.items[0]), front_of(episode).enough
@@ -194,7 +194,7 @@ def test_a_thing_is_fetched_when_it_is_held_outside_and_the_front_is_open(arena:
         assert (task.remaining(episode, obs, arena) == 0.0) == done
 
 
-def test_who_fumbles_moves_arm_and_hand_within_limits(arena: Ground) -> None:
+def test_random_arm_policy_moves_arm_and_gripper_within_limits(arena: Ground) -> None:
     episode = PickAndPlace().generate(0, arena)
     policy = PickAndPlace().policy("random", episode, arena)
     assert isinstance(policy, RandomArmPolicy)

@@ -68,7 +68,7 @@ TURNED = pose_from_xyz_rpy((0.5, 0.3, -0.2), (0.3, -0.5, 1.1))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nothing_jumps_when_it_is_attached_at_a_distance(kind: AttachmentKind) -> None:
+def test_attaching_at_a_distance_moves_no_body(kind: AttachmentKind) -> None:
     with world_of(cube("hand", Pose(), static=True), cube("cup", TURNED)) as world:
         world.attachments.attach("hand", "body", "cup", "body", kind=kind)
         for _ in range(240):
@@ -78,7 +78,7 @@ def test_nothing_jumps_when_it_is_attached_at_a_distance(kind: AttachmentKind) -
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_fixed_one_keeps_the_angle_and_a_ball_lets_it_swing(kind: AttachmentKind) -> None:
+def test_fixed_attachment_keeps_the_angle_and_ball_attachment_lets_the_body_swing(kind: AttachmentKind) -> None:
     beside = Pose((0.3, 0.0, 0.0))
     with world_of(cube("hand", Pose(), static=True), cube("cup", beside), gravity=9.81) as world:
         handle = world.attachments.attach("hand", "body", "cup", "body", kind=kind)
@@ -95,14 +95,14 @@ def test_fixed_one_keeps_the_angle_and_a_ball_lets_it_swing(kind: AttachmentKind
             assert load.torque == 0.0
 
 
-def test_point_says_where_the_ball_is() -> None:
+def test_point_sets_the_position_of_the_ball_joint() -> None:
     with world_of(cube("hand", Pose(), static=True), cube("cup", Pose((0.3, 0.0, 0.0))), gravity=9.81) as world:
         world.attachments.attach("hand", "body", "cup", "body", point=(0.3, 0.0, 0.0))
         world.step(240)
         assert world.body_pose("cup").position == pytest.approx((0.3, 0.0, 0.0), abs=2e-3)
 
 
-def test_hand_that_is_moved_away_takes_the_handle_of_a_door_along() -> None:
+def test_moved_gripper_pulls_the_attached_door_handle() -> None:
     with world_of(door(), cube("hand", Pose((0.7, -0.2, 1.0)), static=True)) as world:
         handle = world.attachments.attach("hand", "body", "door", "handle", point=(0.7, -0.06, 1.0))
         radius = math.hypot(0.7, 0.06)
@@ -123,7 +123,7 @@ def test_hand_that_is_moved_away_takes_the_handle_of_a_door_along() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("way", [(-1.0, 0.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 1.0), (-0.2, 0.5, -1.0)])
-def test_force_never_exceeds_its_limit_and_too_much_pulls_them_apart(
+def test_force_never_exceeds_its_limit_and_overload_separates_the_bodies(
     kind: AttachmentKind, way: tuple[float, float, float]
 ) -> None:
     limit, ahead = 50.0, np.array(way) / math.hypot(*way)
@@ -182,7 +182,7 @@ def test_sudden_jerks_to_all_sides_never_exceed_the_limit() -> None:
             assert max(load.force, load.torque) < 1.05 * limit
 
 
-def test_a_pull_that_ends_at_once_leaves_nothing_behind() -> None:
+def test_feed_forward_force_ends_with_the_pull() -> None:
     """The feed-forward force must not push on when the pull ends."""
     with world_of(cube("hand", Pose(), static=True), cube("cup", Pose((0.3, 0.0, 0.0))), gravity=17.5) as world:
         handle = world.attachments.attach("hand", "body", "cup", "body", kind="fixed", max_force=50.0)
@@ -248,7 +248,7 @@ def test_a_door_that_is_caught_held_and_let_go_gains_no_energy(kind: AttachmentK
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_attached_and_detached_a_thousand_times_nothing_is_left(kind: AttachmentKind) -> None:
+def test_a_thousand_attachments_leave_no_constraint_behind(kind: AttachmentKind) -> None:
     with world_of(cube("hand", Pose(), static=True), cube("cup", TURNED)) as world:
         handles = set()
         for _ in range(1_000):
@@ -283,7 +283,7 @@ def test_attachments_end_with_either_body_and_at_a_reset(end: Callable[[PhysicsW
         world.step(10)
 
 
-def test_others_stay_attached_when_a_body_goes() -> None:
+def test_deletion_of_a_body_keeps_other_attachments() -> None:
     bodies = (cube("hand", Pose(), static=True), cube("cup", TURNED), cube("other", Pose((0.0, 1.0, 0.0))))
     with world_of(*bodies) as world:
         world.attachments.attach("hand", "body", "cup", "body")
@@ -309,7 +309,7 @@ def test_equal_runs_with_attachments_are_equal_to_the_bit_after_a_reset() -> Non
         assert run(world) == first
 
 
-def test_sleeper_that_is_taken_hold_of_wakes_and_falls_when_it_is_let_go() -> None:
+def test_sleeping_body_wakes_when_attached_and_falls_when_detached() -> None:
     scene = SceneSpec("test", Path("/nowhere"), "", (), (), ground_z=0.0)
     with PhysicsWorld(scene) as world:
         world.add(cube("hand", Pose((0.0, 0.0, 1.0)), static=True))
@@ -332,7 +332,7 @@ def test_sleeper_that_is_taken_hold_of_wakes_and_falls_when_it_is_let_go() -> No
         assert world.body_pose("cup").position[2] < 0.1
 
 
-def test_door_that_a_motor_opens_wakes_what_hangs_on_it() -> None:
+def test_motor_driven_door_wakes_the_attached_body() -> None:
     with world_of(door(), cube("cup", Pose((0.7, -0.5, 1.0)))) as world:
         world.attachments.attach("door", "handle", "cup", "body", kind="fixed")
         world.step(720)
@@ -364,6 +364,6 @@ def test_impossible_attachments_are_refused(change: dict[str, object], words: st
         assert constraints(world) == len(world.attachments.all) == 0
 
 
-def test_what_is_not_attached_cannot_be_detached() -> None:
+def test_detaching_an_unattached_body_is_refused() -> None:
     with world_of(cube("hand", Pose(), static=True)) as world, pytest.raises(PhysicsError, match="handle 7; known: none"):
         world.attachments.detach(7)

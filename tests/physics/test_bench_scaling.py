@@ -20,7 +20,7 @@ def test_steps_of_a_world_with_several_things_take_time_and_memory(kind: str, va
     assert mb > 20.0
 
 
-def test_every_environment_step_is_counted_and_looked_at() -> None:
+def test_every_environment_step_is_counted_and_sampled() -> None:
     samples, episodes = environment_steps(3, samples=3)
     assert episodes == 1
     assert {name: len(values) for name, values in samples.values.items()} == {

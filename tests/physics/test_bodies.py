@@ -200,7 +200,7 @@ def twists(world: PhysicsWorld, name: str) -> float:
     return float(np.abs(np.concatenate(world.body_twist(name))).max())
 
 
-def test_what_rests_falls_asleep_and_lies_perfectly_still() -> None:
+def test_resting_body_falls_asleep_and_does_not_move() -> None:
     with PhysicsWorld(SCENE) as world:
         world.add(cube("a", at(0.0, 0.0, 0.1)))
         world.step(ASLEEP)
@@ -209,7 +209,7 @@ def test_what_rests_falls_asleep_and_lies_perfectly_still() -> None:
         assert (world.body_pose("a"), twists(world, "a")) == (before, 0.0)
 
 
-def test_a_sleeper_wakes_when_something_hits_it() -> None:
+def test_sleeping_body_wakes_on_collision() -> None:
     with PhysicsWorld(SCENE) as world:
         world.add(cube("a", at(0.0, 0.0, 0.1)))
         world.add(cube("b", at(-1.0, 0.0, 0.1)))
@@ -219,7 +219,7 @@ def test_a_sleeper_wakes_when_something_hits_it() -> None:
         assert world.body_pose("a").position[0] > 0.02
 
 
-def test_a_sleeper_falls_when_what_it_lies_on_is_removed_or_moved() -> None:
+def test_sleeping_body_falls_when_its_support_is_removed_or_moved() -> None:
     with PhysicsWorld(SCENE) as world:
         for x, name in ((0.0, "gone"), (1.0, "moved")):
             world.add(cube(name, at(x, 0.0, 0.1), static=name == "moved"))
@@ -232,7 +232,7 @@ def test_a_sleeper_falls_when_what_it_lies_on_is_removed_or_moved() -> None:
         assert world.body_pose("on_moved").position[2] == pytest.approx(0.1, abs=2e-3)
 
 
-def test_a_sleeper_that_is_lifted_falls_and_one_that_is_pushed_moves() -> None:
+def test_lifted_sleeping_body_falls_and_pushed_sleeping_body_moves() -> None:
     with PhysicsWorld(SCENE) as world:
         world.add(cube("a", at(0.0, 0.0, 0.1)))
         world.step(ASLEEP)
@@ -245,7 +245,7 @@ def test_a_sleeper_that_is_lifted_falls_and_one_that_is_pushed_moves() -> None:
         assert world.body_pose("a").position[0] > 0.2
 
 
-def test_a_static_body_that_is_put_into_a_sleeper_pushes_it() -> None:
+def test_static_body_placed_into_a_sleeping_body_pushes_it() -> None:
     with PhysicsWorld(SCENE) as world:
         world.add(cube("a", at(0.0, 0.0, 0.1)))
         world.add(cube("wall", at(-0.3, 0.0, 0.1), static=True))
@@ -256,7 +256,7 @@ def test_a_static_body_that_is_put_into_a_sleeper_pushes_it() -> None:
         assert world.body_pose("a").position[0] > 0.15
 
 
-def test_runs_with_sleepers_are_equal_to_the_bit_after_a_reset_and_in_a_new_world() -> None:
+def test_runs_with_sleeping_bodies_are_bit_equal_after_a_reset_and_in_a_new_world() -> None:
     bodies = tuple(cube(f"c{k}", pose_from_xyz_rpy((0.3 * k, 0.0, 0.3), (0.1 * k, 0.2, 0.0))) for k in range(4))
     scene = replace(SCENE, bodies=bodies)
 
@@ -319,13 +319,13 @@ def test_joints_start_where_the_body_says_also_after_a_reset_and_in_a_new_world_
         assert run(world) == first
 
 
-def test_a_joint_that_is_not_there_cannot_start_anywhere() -> None:
+def test_start_position_of_an_unknown_joint_is_refused() -> None:
     body = replace(cube("a", at(0.0, 0.0, 1.0)), joints=(("hinge", 0.5),))
     with pytest.raises(PhysicsError, match=r"'a' has no movable joint 'hinge'.*known: none"):
         PhysicsWorld(replace(SCENE, bodies=(body,)))
 
 
-def test_thousands_of_bodies_come_and_go_without_a_trace() -> None:
+def test_adding_and_removing_thousands_of_bodies_leaks_nothing() -> None:
     with PhysicsWorld(SCENE) as world:
         for i in range(2000):
             world.add(cube(f"a{i}", at(0.0, 0.0, 1.0)))
@@ -334,7 +334,7 @@ def test_thousands_of_bodies_come_and_go_without_a_trace() -> None:
         world.step()
 
 
-def test_state_of_one_body_is_that_of_the_whole_to_the_bit() -> None:
+def test_state_of_one_body_is_bit_equal_to_the_world_state() -> None:
     with PhysicsWorld(SCENE) as world:
         for name, x in (("a", 0.0), ("b", 1.0), ("c", 2.0)):
             world.add(cube(name, pose_from_xyz_rpy((x, 0.0, 0.5), (0.1, x, 0.0))))
@@ -351,7 +351,7 @@ def test_state_of_one_body_is_that_of_the_whole_to_the_bit() -> None:
             assert part[0].tobytes() == all_[1].tobytes()
 
 
-def test_the_hull_of_a_file_that_changed_is_made_anew(tmp_path: Path) -> None:
+def test_hull_of_a_changed_file_is_recomputed(tmp_path: Path) -> None:
     shape = Shape("mesh", (1.0, 1.0, 1.0), str(tmp_path / "box.ply"))
     for edge in (1.0, 3.0):
         trimesh.creation.box((edge, edge, edge)).export(tmp_path / "box.ply")

@@ -89,18 +89,18 @@ def _record(
     return record_drive(folder / "bag", load_robot(robot), parse_script(script), how)
 
 
-def test_nothing_changes_where_both_are_the_same_robot(outcome: Outcome) -> None:
+def test_comparison_of_a_robot_with_itself_suggests_no_change(outcome: Outcome) -> None:
     fitted = outcome.twin["parameters"]
     assert [(one["name"], one["old"], one["new"]) for one in fitted if one["changes"]] == []
     assert {"drive.max_linear_acceleration", "drive.max_angular_acceleration", "drive.slip"} <= {one["name"] for one in fitted}
 
 
 @pytest.mark.parametrize(("section", "key"), FITTED)
-def test_what_makes_the_real_robot_other_is_recovered_within_a_tenth(outcome: Outcome, section: str, key: str) -> None:
+def test_differences_of_the_real_robot_are_recovered_within_ten_percent(outcome: Outcome, section: str, key: str) -> None:
     assert outcome.fitted[section][key] == pytest.approx(REAL[section][key], rel=0.1)
 
 
-def test_size_of_the_biases_is_that_of_this_very_robot(outcome: Outcome) -> None:
+def test_fitted_imu_biases_have_the_magnitude_of_the_drawn_biases(outcome: Outcome) -> None:
     imu, biases = outcome.fitted["imu"], outcome.biases
     gyro, accel = (math.sqrt(sum(b * b for b in part) / 3) for part in (biases[:3], biases[3:]))
     assert (imu["gyro_bias"], imu["accel_bias"]) == pytest.approx((gyro, accel), rel=0.1)

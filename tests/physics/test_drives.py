@@ -103,7 +103,7 @@ def planar_bot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RobotSpec:
 
 
 @pytest.mark.parametrize("command", [(0.25, 0.0, 0.0), (0.0, -0.25, 0.0), (0.2, 0.1, 0.0), (0.0, 0.0, 0.5)])
-def test_a_base_that_is_moved_goes_where_it_is_told(
+def test_planar_base_follows_velocity_commands(
     planar_bot: RobotSpec, make_scene: MakeScene, command: tuple[float, float, float]
 ) -> None:
     assert planar_bot.drive is not None and planar_bot.drive.kind == "planar"
@@ -114,7 +114,7 @@ def test_a_base_that_is_moved_goes_where_it_is_told(
         assert believed(world) == pytest.approx(place(world), abs=1e-4)
 
 
-def test_a_base_that_is_moved_drives_an_arc_stops_at_a_wall_and_knows_it(planar_bot: RobotSpec, make_scene: MakeScene) -> None:
+def test_planar_base_drives_an_arc_stops_at_a_wall_and_odometry_agrees(planar_bot: RobotSpec, make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene(planar_bot)) as world:
         send(world, 4.0, 0.2, 0.1, 0.4)
         assert believed(world) == pytest.approx(place(world), abs=1e-3)
@@ -266,7 +266,7 @@ def test_mass_and_inertia_are_those_of_all_parts_about_the_vertical(tmp_path: Pa
     assert mass_and_inertia(read_urdf(tmp_path / "two.urdf")) == pytest.approx((3.0, 0.63))
 
 
-def test_nothing_below_a_wheel_on_rollers_has_friction(tmp_path: Path) -> None:
+def test_links_below_an_omni_wheel_have_no_friction(tmp_path: Path) -> None:
     rough = '<contact><lateral_friction value="1"/></contact>'
     (tmp_path / "cart.urdf").write_text(
         f'<robot name="cart"><link name="base">{rough}</link><link name="wheel">{rough}</link><link name="roller">{rough}</link>'

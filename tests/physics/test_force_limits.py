@@ -1,4 +1,4 @@
-"""How limits along the axes make a force limit for all directions, without an engine."""
+"""Force limits in all directions from limits along the axes, without an engine."""
 
 from __future__ import annotations
 

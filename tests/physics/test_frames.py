@@ -40,7 +40,7 @@ def test_tables_side_by_side_give_what_each_gives_alone() -> None:
             assert part[0].tobytes() == whole[row].tobytes()
 
 
-def test_nothing_has_no_frames() -> None:
+def test_empty_frame_table_has_no_frames() -> None:
     positions, quats, twists = FrameTable.joined([]).links(np.zeros((0, 13)))
     assert (positions.shape, quats.shape, twists.shape) == ((0, 3), (0, 4), (0, 6))
 

@@ -81,7 +81,7 @@ def constraints(world: PhysicsWorld) -> int:
 
 
 @pytest.mark.parametrize(("distance", "holds"), [(0.199, True), (0.201, False), (0.01, True)])
-def test_takes_hold_within_the_threshold_alone(make_world: MakeWorld, distance: float, holds: bool) -> None:
+def test_gripper_grasps_only_within_the_threshold(make_world: MakeWorld, distance: float, holds: bool) -> None:
     with make_world(cube("cup", ahead(distance))) as world:
         state = world.arms.grasp("robot")
         assert (state.holding, state.body) == (holds, "cup" if holds else "")
@@ -97,7 +97,7 @@ def test_threshold_is_a_setting(make_world: MakeWorld) -> None:
         assert world.arms.grasp("robot").holding
 
 
-def test_handle_is_preferred_to_what_is_nearer_and_what_cannot_move_is_never_taken(make_world: MakeWorld) -> None:
+def test_handle_is_preferred_to_nearer_bodies_and_static_bodies_are_never_grasped(make_world: MakeWorld) -> None:
     near = (TOOL[0], TOOL[1] + 0.08, TOOL[2])
     things = (door((TOOL[0] + 0.15, *TOOL[1:])), cube("cup", near, size=0.1), cube("wall", ahead(0.02), static=True))
     with make_world(*things) as world:
@@ -113,7 +113,7 @@ def test_handle_is_preferred_to_what_is_nearer_and_what_cannot_move_is_never_tak
         assert state.reason == "no movable link is within 0.2 m of tool"
 
 
-def test_target_names_the_one_thing_that_may_be_taken(make_world: MakeWorld) -> None:
+def test_target_restricts_grasping_to_one_body(make_world: MakeWorld) -> None:
     with make_world(cube("near", ahead(0.02)), cube("other", (TOOL[0], 0.15, TOOL[2]))) as world:
         assert world.arms.grasp("robot", target="other").body == "other"
         world.arms.release("robot")
@@ -132,7 +132,7 @@ def test_target_names_the_one_thing_that_may_be_taken(make_world: MakeWorld) -> 
         (JointEfforts((-5.0, -5.0), FINGERS), JointTrajectory(FINGERS[:1], (TrajectoryPoint(10**9, (0.05,)),))),
     ],
 )
-def test_closing_takes_hold_and_opening_lets_go(make_world: MakeWorld, closing: object, opening: object) -> None:
+def test_closing_grasps_and_opening_releases(make_world: MakeWorld, closing: object, opening: object) -> None:
     with make_world(cube("cup", ahead(0.05))) as world:
         world.command_joints("robot", JointPositions((0.3,), ("turn",)))
         assert not world.arms.grasp_state("robot").holding
@@ -147,7 +147,7 @@ def test_closing_takes_hold_and_opening_lets_go(make_world: MakeWorld, closing: 
         assert constraints(world) == 0
 
 
-def test_held_thing_goes_with_the_tool_and_stays_where_it_is_let_go(make_world: MakeWorld) -> None:
+def test_grasped_object_follows_the_tool_and_stays_where_it_is_released(make_world: MakeWorld) -> None:
     with make_world(cube("cup", ahead(0.02))) as world:
         world.arms.grasp("robot")
         world.command_joints("robot", JointPositions((0.4,), ("turn",)))
@@ -162,7 +162,7 @@ def test_held_thing_goes_with_the_tool_and_stays_where_it_is_let_go(make_world: 
         assert world.body_pose("cup").position[2] < TOOL[2] + 0.1
 
 
-def test_pull_is_never_more_than_the_limit_and_the_hinge_decides_when_to_let_go(make_world: MakeWorld) -> None:
+def test_pull_stays_within_the_limit_and_the_hinge_decides_when_to_release(make_world: MakeWorld) -> None:
     limit, angle = 60.0, 0.5
     with make_world(door((TOOL[0] + 0.05, *TOOL[1:])), max_force=limit, release_angle=angle) as world:
         assert world.arms.grasp("robot").link == "handle"
@@ -180,7 +180,7 @@ def test_pull_is_never_more_than_the_limit_and_the_hinge_decides_when_to_let_go(
 
 
 @pytest.mark.parametrize(("release_force", "holds"), [(20.0, False), (200.0, True), (0.0, True)])
-def test_lets_go_above_a_set_force(make_world: MakeWorld, release_force: float, holds: bool) -> None:
+def test_gripper_releases_above_the_set_force(make_world: MakeWorld, release_force: float, holds: bool) -> None:
     with make_world(cube("cup", ahead(0.02), kilograms=5.0), gravity=9.81, release_force=release_force) as world:
         world.arms.grasp("robot")
         world.step(24)
@@ -192,7 +192,7 @@ def test_lets_go_above_a_set_force(make_world: MakeWorld, release_force: float, 
             assert state.reason.endswith("is more than the set force, 20 N")
 
 
-def test_sticky_gripper_holds_what_it_touches_alone(make_world: MakeWorld) -> None:
+def test_sticky_gripper_grasps_only_bodies_in_contact(make_world: MakeWorld) -> None:
     with make_world(cube("cup", ahead(0.03, 0.06), size=0.06), mode="sticky") as world:
         assert not world.arms.grasp("robot").holding
         world.step(300)
@@ -233,7 +233,7 @@ def test_friction_alone_lifts_what_the_fingers_press(make_world: MakeWorld) -> N
         assert world.body_pose("cup").position[2] < TOOL[2] + 0.05
 
 
-def test_nothing_stays_after_deletion_and_reset(make_world: MakeWorld) -> None:
+def test_deletion_and_reset_end_grasps(make_world: MakeWorld) -> None:
     with make_world(cube("cup", ahead(0.02)), cube("jar", (TOOL[0], 0.15, TOOL[2]))) as world:
         assert world.arms.grasp("robot").body == "cup"
         world.remove("cup")
@@ -274,7 +274,7 @@ def test_equal_commands_give_equal_worlds(make_world: MakeWorld) -> None:
     assert states[0][1] == states[1][1]
 
 
-def test_robot_without_an_arm_or_a_gripper_says_so(make_world: MakeWorld, robot: RobotSpec) -> None:
+def test_grasping_without_an_arm_or_a_gripper_is_refused(make_world: MakeWorld, robot: RobotSpec) -> None:
     bare = replace(robot, name="bare", manipulators=())
     armless = replace(
         robot, name="stump", manipulators=(replace(robot.manipulators[0], gripper=None),), start=Pose((0.0, 3.0, 0.0))

@@ -188,7 +188,7 @@ def test_effort_ends_at_the_limit_of_position(scene: SceneSpec) -> None:
             assert joints(world)["shoulder"] == pytest.approx(end, abs=2e-3)
 
 
-def test_effort_of_zero_lets_an_arm_fall_and_another_command_takes_it_up(scene: SceneSpec) -> None:
+def test_zero_effort_lets_an_arm_fall_until_the_next_command(scene: SceneSpec) -> None:
     with PhysicsWorld(scene) as world:
         world.command_joints("robot", JointEfforts((0.0,), ("shoulder",)))
         world.step(240)
@@ -211,7 +211,7 @@ def door() -> BodySpec:
     return BodySpec("door", UrdfModel("door", Path("/nowhere/d.urdf"), (frame, leaf), (hinge,)), Pose((0.0, 0.0, 1.0)), True)
 
 
-def test_joints_of_a_body_obey_too_also_when_it_sleeps_and_swing_free_when_they_are_let_go(make_scene: MakeScene) -> None:
+def test_joints_of_a_body_follow_commands_also_asleep_and_swing_free_when_released(make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene()) as world:
         world.add(door())
         world.step(720)
@@ -227,7 +227,7 @@ def test_joints_of_a_body_obey_too_also_when_it_sleeps_and_swing_free_when_they_
         assert world.joint_states("door").velocities[0] == pytest.approx(-0.4, rel=0.02), "nothing slows it"
 
 
-def test_reset_and_a_new_time_end_what_joints_of_a_body_were_told(make_scene: MakeScene) -> None:
+def test_reset_and_set_time_clear_joint_commands_of_a_body(make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene()) as world:
         world.add(door())
         world.command_joints("door", JointVelocities((0.5,), ("hinge",)))

@@ -141,7 +141,7 @@ def test_small_step_of_the_hand_is_a_small_step_of_the_joints(model: UrdfModel) 
     assert max(abs(joints_of(solution)[name] - start[name]) for name in NAMES) < 0.02
 
 
-def test_joints_that_may_not_move_stay(model: UrdfModel) -> None:
+def test_locked_joints_keep_their_positions(model: UrdfModel) -> None:
     chain = Chain(model, "hand", NAMES[1:])
     goal = {"lift": 0.25, "shoulder_pan": 0.4, "shoulder_lift": -0.3, "elbow_flex": 0.8, "wrist_flex": 0.5}
     solution = chain.solve(chain.pose(goal), {"lift": 0.25})
@@ -149,13 +149,13 @@ def test_joints_that_may_not_move_stay(model: UrdfModel) -> None:
     assert solution.within(1e-3, math.radians(0.5))
 
 
-def test_equal_questions_have_bit_equal_answers(model: UrdfModel) -> None:
+def test_equal_targets_have_bit_equal_solutions(model: UrdfModel) -> None:
     target = Chain(model, "hand").pose(random_joints(np.random.default_rng(7)))
     first, second = (Chain(model, "hand").solve(target, {}) for _ in range(2))
     assert first == second
 
 
-def test_world_solves_for_where_a_body_stands_and_its_arm_goes_there(model: UrdfModel) -> None:
+def test_world_solves_a_chain_at_the_pose_of_its_body_and_the_arm_reaches_the_target(model: UrdfModel) -> None:
     start = pose_from_xyz_rpy((1.0, -2.0, 0.5), (0.0, 0.1, 0.8))
     goal = pose_from_xyz_rpy((1.45, -1.45, 1.1), (0.4, 0.5, 0.9))
     arm = BodySpec("arm", model, start, static=True)

@@ -62,7 +62,7 @@ f 1 2 3 4
 """Accepted by the scene loader; PyBullet's OBJ reader crashed on it."""
 
 
-def test_faces_keep_their_corners_alone_and_wrong_ones_go() -> None:
+def test_faces_keep_vertex_indices_only_and_invalid_faces_are_dropped() -> None:
     assert shapes_alone(CRASHES.encode()).decode().splitlines() == [
         "v 0.0 0.0 0.0",
         "v 0.4 0.0 0.0",

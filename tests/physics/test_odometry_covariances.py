@@ -41,7 +41,7 @@ def _drive(world: PhysicsWorld, seed: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("name", ["gibson_bot", "ackermann_bot", "husky"])
-def test_no_robot_is_surer_of_its_odometry_than_it_may_be(root: Path, make_scene: Callable[..., SceneSpec], name: str) -> None:
+def test_no_robot_has_overconfident_odometry_covariance(root: Path, make_scene: Callable[..., SceneSpec], name: str) -> None:
     scene = make_scene(load_robot(root / "config/robots" / name))
     found = []
     for seed in range(RUNS):

@@ -61,7 +61,7 @@ def test_a_door_says_where_its_hinge_is_and_how_it_opens(model: str, sense: floa
 
 
 @pytest.mark.parametrize("model", ["cabinet_doors", "fridge_body", "sliding_door_90", "window_casement", "mug"])
-def test_what_is_no_hinged_door_is_not_taken_for_one(model: str) -> None:
+def test_only_hinged_doors_are_recognised_as_doors(model: str) -> None:
     assert hinged_door(_body(model)) is None
 
 
@@ -94,7 +94,7 @@ def test_the_way_back_keeps_the_hand_off_the_edge_of_the_leaf() -> None:
     assert way.speeds(base, way.openings[0])[0] > 0.0
 
 
-def test_the_doors_of_a_home_are_found_and_those_without_room_are_left_alone(home: Ground) -> None:
+def test_doors_of_a_home_are_found_and_doors_without_clearance_are_skipped(home: Ground) -> None:
     doors = {door.body: door for door in scene_doors(home.scene)}
     assert set(doors) == {"front_door", "bedroom_1_door", "bedroom_2_door", "bathroom_door"}
     there = doorway(home, doors["bedroom_1_door"], ("bedroom_1_door",))
@@ -104,7 +104,7 @@ def test_the_doors_of_a_home_are_found_and_those_without_room_are_left_alone(hom
     assert (there.door.away(cells) > 0.0).all() and (there.door.away(home.floor.centers(np.argwhere(there.far))) < 0.0).all()
 
 
-def test_open_doors_and_loose_things_are_obstacles_but_for_those_that_are_left_out(home: Ground) -> None:
+def test_open_doors_and_loose_objects_are_obstacles_unless_excluded(home: Ground) -> None:
     door = next(door for door in scene_doors(home.scene) if door.body == "bedroom_1_door")
     swung = leaf_outline(door, math.radians(77.349)).mean(axis=0)
     assert with_bodies(home, ()).floor.clearance(swung) == 0.0

@@ -45,7 +45,7 @@ def world_of(*bodies: BodySpec, gravity: float = 0.0, ground_z: float | None = N
     return PhysicsWorld(scene)
 
 
-def test_neighbours_are_sorted_by_distance_and_the_handle_is_told_from_its_door() -> None:
+def test_neighbours_are_sorted_by_distance_and_the_handle_is_distinguished_from_its_door() -> None:
     ball = body("ball", (0.35, -0.40, 1.0), Shape("sphere", (0.05, 0.0, 0.0)))
     with world_of(cabinet(), ball, body("finger", (0.35, -0.16, 1.0), FINGER)) as world:
         found = world.neighbours("finger", "body", 0.2)
@@ -58,7 +58,7 @@ def test_neighbours_are_sorted_by_distance_and_the_handle_is_told_from_its_door(
         assert handle.normal == pytest.approx((0.0, -1.0, 0.0), abs=0.02)
 
 
-def test_link_is_told_from_others_that_are_fixed_to_it() -> None:
+def test_link_is_distinguished_from_links_fixed_to_it() -> None:
     ball = UrdfCollision(FINGER, Pose())
     links = (
         UrdfLink("palm", (), (ball,), Inertial(1.0, Pose(), INERTIA)),
@@ -85,7 +85,7 @@ def test_threshold_of_20_centimetres_holds_to_a_millimetre() -> None:
             assert [one.distance for one in found] == ([pytest.approx(gap, abs=1e-4)] if near else [])
 
 
-def test_neighbours_are_seen_where_a_body_was_just_put_without_a_step() -> None:
+def test_neighbours_of_a_newly_placed_body_are_found_without_a_step() -> None:
     with world_of(body("box", (5.0, 0.0, 0.0), Shape("box", (0.1, 0.1, 0.1))), body("finger", (0.1, 0.0, 0.0), FINGER)) as world:
         world.step()
         assert world.neighbours("finger", "body", 0.2) == ()
@@ -95,7 +95,7 @@ def test_neighbours_are_seen_where_a_body_was_just_put_without_a_step() -> None:
         assert world.neighbours("finger", "body", 0.2) == ()
 
 
-def test_neighbours_of_what_is_not_there_are_refused() -> None:
+def test_neighbours_of_an_unknown_body_are_refused() -> None:
     with world_of(body("finger", (0.0, 0.0, 0.0), FINGER)) as world:
         with pytest.raises(PhysicsError, match="no robot or body 'thumb' in this world"):
             world.neighbours("thumb", "body", 0.2)

@@ -94,7 +94,7 @@ def test_after_a_reset_a_pile_is_pushed_as_in_a_new_world(scene: SceneSpec, worl
     assert push(world) == new
 
 
-def test_repopulated_worlds_are_new_ones_whatever_was_there_before(scene: SceneSpec, world: PhysicsWorld) -> None:
+def test_repopulated_world_equals_a_new_world(scene: SceneSpec, world: PhysicsWorld) -> None:
     with PhysicsWorld(scene) as other:
         new = push(other)
     push(world, turn=-0.4)

@@ -129,7 +129,9 @@ def test_an_arm_has_joint_topics_and_cannot_tip(root: Path) -> None:
         ),
     ],
 )
-def test_robots_of_makers_drive_as_guessed(data_dir: Path, tmp_path: Path, urdf: str, kind: str, sensors: str) -> None:
+def test_manufacturer_robots_drive_with_derived_settings(
+    data_dir: Path, tmp_path: Path, urdf: str, kind: str, sensors: str
+) -> None:
     derived = derive_file(data_dir / urdf)
     assert derived.values["drive"]["type"] == kind and set(sensors.split()) <= set(derived.values)
     (tmp_path / "robot.yaml").write_text(robot_file_text(str(data_dir / urdf), {}, derived))
@@ -158,7 +160,7 @@ def bare_report(folder: Path, urdf: Path) -> list[str]:
     return report_lines(try_robot(load_robot(folder)), derived.guesses)
 
 
-def test_a_robot_without_masses_and_caster_is_told_both_and_nothing_that_means_nothing(tmp_path: Path) -> None:
+def test_report_names_missing_masses_and_casters_and_omits_meaningless_lines(tmp_path: Path) -> None:
     lines = bare_report(tmp_path, bare(tmp_path))
     assert lines[0].startswith("masses are missing: ") and "base_link (1 kg), left_wheel (0.05 kg)" in lines[0]
     assert lines[2].startswith("support: it stands on two wheels: add a caster")

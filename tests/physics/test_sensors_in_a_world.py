@@ -128,7 +128,7 @@ def test_odometry_of_an_exact_robot_is_as_good_as_its_covariance_says(flat: Scen
     assert worst < 16.3, "99.9 % of a chi-square distribution of three dimensions"
 
 
-def test_covariance_of_odometry_begins_anew_with_it(flat: SceneSpec) -> None:
+def test_covariance_of_odometry_restarts_with_odometry(flat: SceneSpec) -> None:
     with PhysicsWorld(flat, step_hz=STEP_HZ) as world:
         world.step()
         fresh = world.odometry_covariance("robot")

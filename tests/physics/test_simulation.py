@@ -30,7 +30,7 @@ def _drive(sim: gs.Simulation) -> gs.SceneState:
     return sim.step(seconds=1.0)
 
 
-def test_it_is_its_parts_put_together_by_hand() -> None:
+def test_simulation_equals_its_parts_assembled_by_hand() -> None:
     scene = populate("flat", "gibson_bot_real")
     with gs.Simulation("flat", "gibson_bot_real", seed=3) as sim, gs.PhysicsWorld(scene, seed=3, cmd_vel_timeout=60.0) as world:
         suite = SensorSuite(scene.robots[0], 240, 60, scene.gravity, 3)
@@ -68,7 +68,7 @@ def test_a_reset_simulation_equals_a_new_one_and_a_restored_one_goes_on_as_it_di
         assert _equal(other.step(seconds=0.5), later)
 
 
-def test_a_command_counts_until_the_next_one_unless_it_times_out() -> None:
+def test_a_command_holds_until_the_next_one_unless_it_times_out() -> None:
     with gs.Simulation("arena") as sim, gs.Simulation("arena", cmd_vel_timeout=0.5) as other:
         for each in (sim, other):
             each.command(linear=0.3)
@@ -146,7 +146,7 @@ def test_a_scene_that_was_loaded_and_a_robot_that_was_loaded_can_be_given() -> N
         (lambda sim: sim.remove("ghost"), "no robot or body 'ghost' in this world"),
     ],
 )
-def test_what_is_impossible_is_said_in_one_line_and_changes_nothing(call: object, error: str) -> None:
+def test_an_impossible_request_fails_in_one_line_and_changes_nothing(call: object, error: str) -> None:
     with gs.Simulation("flat") as sim:
         before = sim.save()
         with pytest.raises(gs.GibsonSimError, match=error) as found:
@@ -217,7 +217,7 @@ def test_a_robot_that_is_spawned_has_cameras_of_its_own_name() -> None:
         assert repr(gone) == "<Robot second: removed>"
 
 
-def test_after_its_end_it_says_so(tmp_path: Path) -> None:
+def test_use_after_close_is_refused(tmp_path: Path) -> None:
     sim = gs.Simulation("flat")
     sim.close()
     sim.close()
@@ -229,7 +229,7 @@ def test_after_its_end_it_says_so(tmp_path: Path) -> None:
         gs.Simulation("lindenflat")
 
 
-def test_what_is_saved_does_not_change_with_an_array_that_was_given() -> None:
+def test_saved_state_does_not_alias_given_arrays() -> None:
     place = np.array([1.9, 4.9, 0.3])
     with gs.Simulation("flat") as sim:
         sim.spawn("ball", "ball", place)  # type: ignore[arg-type]

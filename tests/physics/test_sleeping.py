@@ -1,4 +1,4 @@
-"""Only bodies that must wake do."""
+"""Sleeping bodies wake only when they must."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_pile_falls_when_the_body_under_it_is_pulled_away(how: str) -> None:
         assert world.body_pose("high").position[2] == pytest.approx(0.1, abs=5e-3)
 
 
-def test_what_is_put_down_on_a_sleeper_wakes_it_alone() -> None:
+def test_body_placed_on_a_sleeping_body_wakes_only_that_body() -> None:
     with world_of(box("a", 0.0, 0.0, 0.1), box("far", 1.0, 0.0, 0.1)) as world:
         world.step(ASLEEP)
         world.add(replace(box("wall", 0.15, 0.0, 0.1), static=True))
@@ -104,7 +104,7 @@ def test_what_is_put_down_on_a_sleeper_wakes_it_alone() -> None:
         assert asleep(world, ["far"])
 
 
-def test_states_follow_sleepers_that_are_pushed_thrown_moved_and_left_without_support(omni: RobotSpec) -> None:
+def test_states_follow_sleeping_bodies_that_are_pushed_thrown_moved_or_unsupported(omni: RobotSpec) -> None:
     tower = [box(f"tower{k}", 1.0, 0.0, 0.1 + 0.2 * k) for k in range(3)]
     bodies = [
         *tower,

@@ -78,7 +78,7 @@ def test_a_robot_that_was_refused_leaves_nothing(robot: RobotSpec, make_scene: M
         assert world.names == ("robot", "second")
 
 
-def test_looking_whether_a_start_is_free_changes_no_bit_of_the_run(robot: RobotSpec, make_scene: MakeScene) -> None:
+def test_checking_a_start_for_collisions_keeps_the_run_bit_equal(robot: RobotSpec, make_scene: MakeScene) -> None:
     def run(world: PhysicsWorld) -> bytes:
         world.step(100)
         return world.state().positions.tobytes() + world.state().twists.tobytes()
@@ -89,7 +89,7 @@ def test_looking_whether_a_start_is_free_changes_no_bit_of_the_run(robot: RobotS
         assert run(world) == first
 
 
-def test_a_client_learns_that_the_pose_is_at_fault(robot: RobotSpec, make_scene: MakeScene) -> None:
+def test_spawn_in_collision_fails_with_invalid_pose(robot: RobotSpec, make_scene: MakeScene) -> None:
     simulator = Simulator(make_scene(at(robot, 0.0), collisions=(SOFA,)), PhysicsConfig())
     try:
         with pytest.raises(SimulationError, match="deep in 'sofa'") as error:

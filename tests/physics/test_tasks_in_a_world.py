@@ -43,7 +43,7 @@ def test_an_episode_is_the_same_to_the_bit_whatever_was_before_it(push: TaskRun)
     assert first == again == new
 
 
-def test_who_drives_into_a_wall_collides_once(push: TaskRun) -> None:
+def test_driving_into_a_wall_is_one_collision(push: TaskRun) -> None:
     push.reset(0)
     for _ in range(120):
         push.step(Action(linear=0.5))
@@ -55,7 +55,9 @@ def test_who_drives_into_a_wall_collides_once(push: TaskRun) -> None:
     assert push.metrics.collisions <= 2  # two walls in a corner
 
 
-def test_the_command_pushes_boxes_through_a_doorway_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_pushes_boxes_through_a_doorway_and_reports_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["task", "push-through", "--scene", "arena", "--in-process", "--baseline", "scripted", "--seed", "2"]
     with pytest.raises(SystemExit) as end:
         main([*words, "--json", str(tmp_path / "found.json")])
@@ -67,7 +69,7 @@ def test_the_command_pushes_boxes_through_a_doorway_and_says_so(tmp_path: Path, 
     assert found["successes"] == 1 and found["all"][0]["pushed"] >= 1
 
 
-def test_the_command_lists_all_tasks_and_refuses_what_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_lists_all_tasks_and_refuses_unknown_ones(capsys: pytest.CaptureFixture[str]) -> None:
     for words, code, text in (
         (["--list"], 0, "push-through"),
         ([], 1, "gibson-sim task --list"),

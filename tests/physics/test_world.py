@@ -159,7 +159,7 @@ def test_two_worlds_do_not_touch_each_other(make_scene: MakeScene, robot: RobotS
         a.step()
 
 
-def test_robots_bump_into_each_other(make_scene: MakeScene, robot: RobotSpec, drive: Callable[..., None]) -> None:
+def test_robots_collide_with_each_other(make_scene: MakeScene, robot: RobotSpec, drive: Callable[..., None]) -> None:
     other = replace(robot, name="other", start=Pose((0.6, 0.0, 0.0)))
     with PhysicsWorld(make_scene(robot, other)) as world:
         drive(world, 0.3, 0.0, 4.0)

@@ -53,7 +53,9 @@ def _draw(drawn: DrawnScene, folder: Path | None, **settings: float) -> tuple[Fr
         return renderer.render(NOW, [CAMERA], BEFORE)[0], renderer.warnings, renderer.info
 
 
-def test_pictures_warnings_and_numbers_are_the_same(drawn: DrawnScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cached_scene_has_equal_images_warnings_and_counts(
+    drawn: DrawnScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plain, first = _draw(drawn, None), _draw(drawn, tmp_path / "cache")
 
     def must_not_load(*args: object, **kwargs: object) -> None:
@@ -91,7 +93,7 @@ def test_a_texture_that_changed_is_seen(drawn: DrawnScene, tmp_path: Path) -> No
     assert ball[:, 1:].max() < 5
 
 
-def test_a_mesh_that_turned_up_is_drawn(drawn: DrawnScene, tmp_path: Path) -> None:
+def test_a_mesh_that_was_missing_before_is_drawn(drawn: DrawnScene, tmp_path: Path) -> None:
     _, warnings, info = _draw(drawn, tmp_path / "cache")
     assert any("missing" in warning for warning in warnings)
     ball = Path(drawn.visuals[0].shape.mesh)

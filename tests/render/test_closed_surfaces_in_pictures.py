@@ -42,7 +42,7 @@ def _both_ways(drawn: DrawnScene, cameras: list[CameraSpec], monkeypatch: pytest
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_pictures_are_those_of_all_sides(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_equal_those_without_back_face_culling(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
     visuals, loader = rooms()
     pane = box((3.0, 1.6, 1.0), (0.2, 0.4, 0.9, 0.4), (0.02, 2.0, 2.0))
     drawn = scene(*visuals, pane, box((0, 0, 0), RED, link="a"), box((0, 0, 0), BLUE, link="b"), links=("a", "b"))
@@ -50,7 +50,7 @@ def test_pictures_are_those_of_all_sides(samples: int, monkeypatch: pytest.Monke
     _both_ways(drawn, cameras, monkeypatch, loader=loader)
 
 
-def test_they_are_for_non_pinhole_cameras_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_of_non_pinhole_cameras_equal_those_without_back_face_culling(monkeypatch: pytest.MonkeyPatch) -> None:
     visuals, loader = rooms()
     wide = [replace(EYE, pose=pose, width=128, height=64, projection="equirectangular") for pose in way(2)]
     _both_ways(scene(*visuals), wide, monkeypatch, loader=loader)
@@ -148,7 +148,9 @@ def test_the_sky_is_behind_closed_surfaces_and_glass(glass: bool, tmp_path: Path
         "playcanvas_vr_gallery/examples/assets/models/vr-gallery.glb",
     ],
 )
-def test_third_party_worlds_look_as_with_all_sides(data_dir: Path, world: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_third_party_worlds_look_as_without_back_face_culling(
+    data_dir: Path, world: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec = load_scene(data_dir / world)
     drawn = replace(drawn_scene(spec, ()), visuals=tuple(v for v in spec.visuals if not v.link))
     rng = np.random.default_rng(0)

@@ -33,14 +33,14 @@ def test_a_library_that_is_not_egl_is_refused_by_name():
         open_context(library="libc.so.6")
 
 
-def test_a_renderer_without_the_library_says_so():
+def test_a_renderer_without_the_library_is_refused():
     with pytest.raises(GraphicsUnavailableError, match=r"libNoSuchEGL\.so\.1"):
         Renderer(scene(), library="libNoSuchEGL.so.1")
 
 
 @pytest.mark.egl
 @pytest.mark.usefixtures("egl")
-def test_at_least_one_device_is_usable_and_says_what_it_is():
+def test_at_least_one_device_is_usable_and_has_a_description():
     devices = list_devices()
     assert [d.index for d in devices] == list(range(len(devices)))
     usable = [d for d in devices if d.usable]

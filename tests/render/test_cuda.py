@@ -34,12 +34,12 @@ def test_the_device_of_the_same_uuid_is_chosen_whatever_its_number() -> None:
     assert find_device(DRAWING, devices).ordinal == 1
 
 
-def test_without_a_uuid_cuda_says_what_draws() -> None:
+def test_without_a_uuid_the_device_is_found_by_its_gl_ordinal() -> None:
     devices = [CudaDevice(0, "one", OTHER), CudaDevice(1, "two", UUID)]
     assert find_device(replace(DRAWING, uuid=""), devices, gl_ordinals=[1]).ordinal == 1
 
 
-def test_without_a_uuid_and_without_cudas_word_egl_says_it() -> None:
+def test_without_a_uuid_and_gl_ordinals_the_device_is_found_by_its_egl_ordinal() -> None:
     devices = [CudaDevice(0, "one", OTHER), CudaDevice(1, "two", UUID)]
     assert find_device(replace(DRAWING, uuid="", cuda_ordinal=1), devices).ordinal == 1
 

@@ -200,7 +200,7 @@ def test_noise_is_the_formula_to_a_grey_level(lab: Lab) -> None:
 
 
 @pytest.mark.parametrize(("value", "sigma"), [(0.2, 0.0412), (0.5, 0.06)])
-def test_noise_has_the_spread_asked_for(lab: Lab, value: float, sigma: float) -> None:
+def test_noise_has_the_requested_standard_deviation(lab: Lab, value: float, sigma: float) -> None:
     # Read noise 0.02 and shot noise 0.08: at a light of 0.2 the root of 0.0004 + 0.0064 * 0.2, at 0.5 of 0.0004 + 0.0064 * 0.5.
     start = grey(round(float(srgb(np.array(value)))))
     errors = linear(lab.apply(start, read_noise=0.02, shot_noise=0.08)) - linear(start)
@@ -252,7 +252,7 @@ def test_rows_of_an_average_count_from_the_top(lab: Lab) -> None:
     np.testing.assert_array_equal(got[10:], gradient()[10:])
 
 
-def test_average_that_has_not_begun_is_refused(lab: Lab) -> None:
+def test_average_without_begin_is_refused(lab: Lab) -> None:
     context = open_context()
     fresh = EffectsPass(context)
     with pytest.raises(RenderError, match="call begin"):

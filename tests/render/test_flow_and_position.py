@@ -85,7 +85,7 @@ def test_flow_of_a_plate_that_turned_out_of_the_image_plane() -> None:
     assert np.abs(expected[:, 0]).max() > 1.0
 
 
-def test_what_stands_still_behind_a_moving_plate_has_no_flow_and_nothing_has_none() -> None:
+def test_flow_of_a_static_surface_is_zero_and_of_the_background_nan() -> None:
     frame = _see(_at((2.001, 0.0, 0.0)), _at((2.001, 0.25, 0.0)))
     wall, nothing = frame.instance == 1, frame.instance == 0
     assert wall.sum() > 500 and nothing.sum() > 1_000

@@ -216,7 +216,7 @@ def test_an_image_beside_others_is_filled_for_itself(stage: Stage, fills: dict[s
 
 
 @pytest.mark.parametrize("fill_of", ["push_pull", "network"])
-def test_where_nothing_is_known_nothing_is_made_up(stage: Stage, fills: dict[str, str], fill_of: str) -> None:
+def test_an_image_without_known_depth_keeps_infinite_depth(stage: Stage, fills: dict[str, str], fill_of: str) -> None:
     images = blank_images(*SIZE)
     images["color"][...] = 90
     host, gpu = stage.both(replace(CAMERA, fill=fills[fill_of]), images)

@@ -115,7 +115,7 @@ def test_a_panorama_is_filled_across_its_edge() -> None:
     assert abs(frame.depth[32, 0] - frame.depth[32, -1]) < 0.05
 
 
-def test_what_a_fisheye_does_not_see_stays_black_and_is_a_hole_to_networks(tmp_path: Path) -> None:
+def test_pixels_outside_a_fisheye_stay_black_and_are_holes_to_networks(tmp_path: Path) -> None:
     file = tmp_path / "network.onnx"
     file.write_bytes(pipeline())
     camera = replace(FILLED, projection="fisheye", fov=math.pi)
@@ -131,7 +131,7 @@ def test_a_hole_that_is_filled_is_nearer_to_the_closed_wall_than_one_that_is_not
     assert cv2.PSNR(filled, truth) > cv2.PSNR(plain, truth) + 3.0
 
 
-def test_a_network_that_is_not_there_is_named(renderer: Renderer, tmp_path: Path) -> None:
+def test_a_missing_network_is_named(renderer: Renderer, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"cannot read '.*nothing\.onnx': No such file"):
         renderer.prepare([replace(FILLED, fill=str(tmp_path / "nothing.onnx"))])
 
@@ -182,9 +182,7 @@ def test_smooth_edges_do_not_cut_moving_links() -> None:
 
 
 @pytest.mark.parametrize("kind", [our_network, pipeline, generator])
-def test_what_networks_paint_into_a_hole_does_not_depend_on_the_colour_of_a_moving_link_before_it(
-    kind: object, tmp_path: Path
-) -> None:
+def test_colours_that_networks_predict_do_not_depend_on_a_moving_link_before_the_hole(kind: object, tmp_path: Path) -> None:
     file = tmp_path / "network.onnx"
     file.write_bytes(kind())
     pictures = []

@@ -1,4 +1,4 @@
-"""What the hole image tells: nothing drawn, the back of a surface of the world, the sky, what a lens does not see."""
+"""The hole image: pixels with nothing drawn, back faces of the world, the sky, and pixels outside the lens."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_hole_output_changes_no_other_output() -> None:
     assert all(np.array_equal(getattr(with_holes, name), getattr(without, name)) for name in outputs)
 
 
-def test_back_of_what_moves_and_of_leaves_is_no_hole() -> None:
+def test_back_faces_of_moving_bodies_and_of_leaves_are_no_hole() -> None:
     with Renderer(scene(mesh_visual("a"), links=("a",)), loader=loader_of(BACK)) as renderer:
         frame = renderer.render(state(("a",), [(0.0, 0.0, 0.0)]), [HOLES])[0]
     assert (frame.hole[16:48, 16:48] == SURFACE).all()
@@ -65,7 +65,7 @@ def _fisheye() -> CameraSpec:
     return replace(HOLES, projection="fisheye", fov=math.pi)
 
 
-def test_what_a_fisheye_does_not_see_is_no_hole() -> None:
+def test_pixels_outside_a_fisheye_are_no_hole() -> None:
     frame: Frame = draw_mesh(FRONT, camera=_fisheye())
     assert frame.hole[0, 0] == UNSEEN and frame.hole[32, 2] == NOTHING and frame.hole[32, 32] == SURFACE
     assert draw_mesh(BACK, camera=_fisheye()).hole[32, 32] == BACK_FACE

@@ -129,7 +129,7 @@ def test_further_outputs_change_neither_colour_nor_depth_by_a_bit() -> None:
     np.testing.assert_array_equal(plain.depth, rich.depth)
 
 
-def test_only_what_is_asked_for_comes_back() -> None:
+def test_only_requested_outputs_are_returned() -> None:
     def present(frame: Frame) -> set[str]:
         return {name for name in OUTPUTS if getattr(frame, name) is not None}
 

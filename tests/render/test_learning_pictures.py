@@ -1,4 +1,4 @@
-"""Images to learn from: what is drawn for all environments at once stands where that of each does, and earlier images where it is told."""
+"""Images for learning: batched rendering equals rendering of each environment, and earlier images have the reported poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.egl
 
 
 @pytest.mark.usefixtures("egl")
-def test_cameras_of_all_environments_see_what_those_of_each_see() -> None:
+def test_cameras_rendered_for_all_environments_equal_those_rendered_for_each() -> None:
     task = task_of("point-goal")
     with TaskRun(task, scene="arena") as first, TaskRun(task, scene="arena") as second:
         cameras = []
@@ -39,7 +39,7 @@ def test_cameras_of_all_environments_see_what_those_of_each_see() -> None:
 
 
 @pytest.mark.usefixtures("egl")
-def test_earlier_images_of_obstacles_are_of_the_pose_that_is_told() -> None:
+def test_earlier_images_of_obstacles_show_the_reported_pose() -> None:
     shard = draw_obstacle_shard(World.load("mill_house"), 0, 0)
     assert shard.earlier is not None and shard.earlier_pose is not None
     floor = FloorPlane(WIDTH, HEIGHT, HFOV, CAMERA_HEIGHT)

@@ -87,7 +87,7 @@ def _flat(frame: Frame) -> NDArray[np.bool_]:
     return (cv2.dilate(frame.normal, kernel) - cv2.erode(frame.normal, kernel)).max(axis=2) < 1.0
 
 
-def test_it_takes_fewer_triangles(pairs: list[Pair]) -> None:
+def test_levels_of_detail_draw_fewer_triangles(pairs: list[Pair]) -> None:
     for _, _, coarse, fine in pairs:
         assert 0 < coarse <= fine
     assert sum(coarse for _, _, coarse, _ in pairs) < 0.95 * sum(fine for _, _, _, fine in pairs)
@@ -137,7 +137,7 @@ def _triangles(renderer: Renderer, camera: CameraSpec) -> int:
     return renderer.drawn_triangles
 
 
-def test_the_farther_away_the_fewer_triangles() -> None:
+def test_distant_objects_have_fewer_triangles() -> None:
     drawn, loader = _sphere()
     with detail_from(1), Renderer(drawn, loader=loader, detail_px=0.5) as renderer:
         counts = [_triangles(renderer, eye_at((-d, 0.0, 0.0), width=240, height=180)) for d in (1.5, 3.0, 6.0, 12.0)]

@@ -118,14 +118,12 @@ def test_pictures_side_by_side_hide_nothing_of_each_other(renderer: Renderer) ->
 
 
 @pytest.mark.parametrize("change", [{"samples": 4}, {"projection": "fisheye"}, {"projection": "equirectangular", "samples": 4}])
-def test_smooth_and_bent_pictures_are_the_same(renderer: Renderer, change: dict[str, object]) -> None:
+def test_anti_aliased_and_non_pinhole_images_are_the_same(renderer: Renderer, change: dict[str, object]) -> None:
     cameras = [replace(camera, **change) for camera in PLAIN[:3]]
     _assert_equal(*(_drawn(renderer, cameras, on)[0] for on in (True, False)))
 
 
-def test_the_middles_of_pixels_do_not_decide_about_their_other_samples(
-    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pixel_centres_do_not_decide_the_occlusion_of_other_samples(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
     read = gl_scene.GlScene._read_depth
 
     def all_hidden_if_smooth(self: gl_scene.GlScene, target: RenderTarget) -> NDArray[np.float32]:
@@ -137,7 +135,7 @@ def test_the_middles_of_pixels_do_not_decide_about_their_other_samples(
     _assert_equal(*(_drawn(renderer, smooth, on)[0] for on in (True, False)))
 
 
-def test_what_moves_out_from_behind_a_wall_is_seen_at_once(renderer: Renderer) -> None:
+def test_body_that_leaves_an_occluder_is_drawn_at_once(renderer: Renderer) -> None:
     for x in (1.0, 2.0, 2.6, 3.2):
         now = state(("a", "b"), [(x, 1.6, 0.5), (7.0 - x, 1.6, 1.0)])
         _assert_equal(*(_drawn(renderer, PLAIN[:2], on, now)[0] for on in (True, False)))

@@ -54,9 +54,7 @@ def test_only_requested_attachments_come_back(target: RenderTarget, buffers: Pix
     assert list(buffers.finish(buffers.start(target, ("LABELS", "depth")))) == ["LABELS", "depth"]
 
 
-def test_row_0_is_what_is_drawn_first_in_memory_so_the_top(
-    context: GlContext, target: RenderTarget, buffers: PixelBuffers
-) -> None:
+def test_row_0_is_the_top_row(context: GlContext, target: RenderTarget, buffers: PixelBuffers) -> None:
     images = blank_images(WIDTH, HEIGHT)
     images["LABELS"][0, 2] = (7, 9)
     fill(context, target, images)

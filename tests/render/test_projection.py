@@ -58,17 +58,17 @@ def test_a_narrow_view_has_a_long_focal_length():
     assert middle(where(frame, 0)) == pytest.approx((16.57, 46.43), abs=0.6)
 
 
-def test_what_is_above_is_in_the_upper_rows():
+def test_higher_objects_are_in_the_upper_rows():
     frame = draw(box((3.0, 0.0, 0.7), RED), box((3.0, 0.0, -0.7), BLUE))
     assert np.nonzero(where(frame, 0))[0].max() < 32 <= np.nonzero(where(frame, 2))[0].min()
 
 
-def test_what_is_to_the_left_is_in_the_left_columns():
+def test_objects_to_the_left_are_in_the_left_columns():
     frame = draw(box((3.0, 0.7, 0.0), GREEN), box((3.0, -0.7, 0.0), BLUE))
     assert np.nonzero(where(frame, 1))[1].max() < 32 <= np.nonzero(where(frame, 2))[1].min()
 
 
-def test_what_is_nearer_hides_what_is_behind_it_in_whichever_order_they_come():
+def test_nearer_objects_hide_those_behind_them_in_any_drawing_order():
     near, far = plate((2.0, 0.0, 0.0), RED, 1.0), plate((4.0, 0.0, 0.0), BLUE, 1.0)
     for order in ((near, far), (far, near)):
         frame = draw(*order)
@@ -76,7 +76,7 @@ def test_what_is_nearer_hides_what_is_behind_it_in_whichever_order_they_come():
         assert not where(frame, 2).any()
 
 
-def test_what_is_behind_the_camera_is_not_seen():
+def test_objects_behind_the_camera_are_not_drawn():
     assert np.isposinf(draw(box((-3.0, 0.0, 0.0))).depth).all()
 
 
@@ -128,7 +128,7 @@ def test_depth_is_infinite_beyond_far(far, expected):
 
 
 @pytest.mark.parametrize(("near", "expected"), [(0.5, 0.799), (0.9, np.inf)])
-def test_what_is_nearer_than_near_is_not_drawn(near, expected):
+def test_objects_before_the_near_plane_are_not_drawn(near, expected):
     frame = draw(plate((0.8, 0.0, 0.0), RED), camera=replace(EYE, near=near))
     assert frame.depth[32, 32] == pytest.approx(expected, abs=1e-4)
     assert where(frame, 0).any() == np.isfinite(expected)

@@ -111,7 +111,7 @@ def test_intensity_falls_with_the_cosine_at_which_a_wall_is_met() -> None:
     assert 0.2 < ahead <= 1.0
 
 
-def test_own_body_is_invisible_unless_asked_for() -> None:
+def test_own_body_is_invisible_unless_requested() -> None:
     shell = box((0.0, 0.0, 0.0), RED, (0.8, 0.8, 0.8), link=LINK)
     wall = box((5.5, 0.0, 0.0), size=(1.0, 30.0, 10.0))
     assert measure(SIXTEEN, shell, wall).ranges[7, 0] == pytest.approx(5.0, abs=0.03)

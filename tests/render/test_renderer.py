@@ -52,7 +52,7 @@ def test_each_link_has_its_own_pose():
     assert middle(where(frame, 2)) == pytest.approx((39.5, 31.5), abs=0.6)
 
 
-def test_what_stands_still_ignores_the_state():
+def test_static_geometry_ignores_the_state():
     with Renderer(scene(plate((3.0, 0.0, 0.0), RED), links=("robot/base",))) as renderer:
         first, second = (
             renderer.render(state(["robot/base"], [p], [q]), [EYE])[0]
@@ -112,7 +112,7 @@ def test_more_sizes_than_are_kept_still_come_out_right():
                 assert frame.depth[size // 2, size // 2] == pytest.approx(2.5, abs=1e-3)
 
 
-def test_only_what_is_asked_for_comes():
+def test_only_requested_outputs_are_returned():
     with Renderer(scene()) as renderer:
         depth, rgb = renderer.render(state(), [replace(EYE, outputs=("depth",)), replace(EYE, outputs=("rgb",))])
     assert depth.rgb is None
@@ -121,7 +121,7 @@ def test_only_what_is_asked_for_comes():
     assert rgb.rgb is not None
 
 
-def test_no_cameras_no_frames():
+def test_no_cameras_give_no_frames():
     with Renderer(scene()) as renderer:
         assert renderer.render(state(), []) == []
 
@@ -235,17 +235,17 @@ def test_making_and_closing_renderers_leaks_no_file_descriptors():
     assert len(os.listdir("/proc/self/fd")) == before
 
 
-def test_a_renderer_says_what_draws_and_how_much():
+def test_renderer_info_has_the_device_and_the_number_of_triangles():
     with Renderer(scene(box((3.0, 0.0, 0.0)))) as renderer:
         assert renderer.info["triangles"] == 12
         assert renderer.info["renderer"]
 
 
-def test_the_self_test_says_what_draws():
+def test_self_test_names_the_device():
     assert self_test().startswith("pixel-exact (")
 
 
-def test_a_part_of_a_turned_link_is_lit_as_one_that_stands_so_in_the_world():
+def test_a_part_of_a_rotated_link_is_lit_like_an_equally_rotated_static_part():
     quat = (0.5, 0.1, 0.7, 0.5)  # length 1: 0.25 + 0.01 + 0.49 + 0.25
     fixed, moving = box((3.0, 0.2, 0.1), quat=quat), box((0.0, 0.0, 0.0), link="robot/base")
     with Renderer(scene(fixed)) as one, Renderer(scene(moving, links=("robot/base",))) as other:

@@ -63,7 +63,7 @@ def test_a_scan_is_posed_rgbd_that_fits_the_scene(room, clean):
     assert np.nanmax(off) < 0.002
 
 
-def test_nearly_everything_is_seen(room, clean):
+def test_scan_covers_at_least_97_percent_of_the_surfaces(room, clean):
     folder, plan = clean
     assert plan.coverage >= 0.98
     surface = sample_surface(*opaque_triangles(room), 4000, np.random.default_rng(1))
@@ -76,7 +76,7 @@ def test_nearly_everything_is_seen(room, clean):
     assert shown[outside].mean() < 0.01
 
 
-def test_an_interrupted_scan_goes_on_and_is_the_same(room, clean, tmp_path):
+def test_a_resumed_scan_equals_an_uninterrupted_one(room, clean, tmp_path):
     folder, _ = clean
     shutil.copytree(folder, tmp_path / "part")
     for number in (0, 7, 20):
@@ -85,7 +85,7 @@ def test_an_interrupted_scan_goes_on_and_is_the_same(room, clean, tmp_path):
     assert contents(tmp_path / "part") == contents(folder)
 
 
-def test_another_scan_or_other_files_are_not_written_over(room, clean, tmp_path):
+def test_another_scan_and_other_files_are_not_overwritten(room, clean, tmp_path):
     folder, _ = clean
     with pytest.raises(ScanError, match="another scan"):
         scan(room, folder, replace(SETTINGS, defects=PHONE))
@@ -107,7 +107,7 @@ def test_defects_are_decided_by_the_seed(room, tmp_path):
     assert 0.2 < holes < 0.95  # such a camera sees mostly floor
 
 
-def test_the_command_scans_and_says_what_it_saw(tmp_path, capsys):
+def test_the_command_scans_and_reports_its_coverage(tmp_path, capsys):
     scene = write_room(tmp_path / "room", FLOOR + CEILING)
     argv = [
         "scene",

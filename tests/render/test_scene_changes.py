@@ -67,7 +67,7 @@ def _changed(*scenes: DrawnScene, **settings: object) -> Frame:
     return frame
 
 
-def test_a_body_that_came_later_looks_as_if_it_had_been_there() -> None:
+def test_a_body_added_later_looks_like_one_loaded_with_the_scene() -> None:
     after = _scene(ROBOT, CRATE, revision=2)
     frame = _changed(_scene(ROBOT), after)
     assert _equal(frame, _fresh(after))
@@ -81,7 +81,7 @@ def test_a_body_that_was_loaded_with_the_scene_can_go() -> None:
     assert (frame.rgb[..., 2] <= frame.rgb[..., 0]).all(), "nothing blue is left"
 
 
-def test_a_body_can_go_and_come_back_as_something_else() -> None:
+def test_a_body_can_be_replaced_by_another_model_of_the_same_name() -> None:
     other = replace(CRATE, shape=Shape("cylinder", (0.2, 1.5, 0.0)), color=GREEN)
     after = _scene(ROBOT, other, revision=3)
     assert _equal(_changed(_scene(ROBOT, CRATE), _scene(ROBOT, revision=2), after), _fresh(after))
@@ -119,7 +119,7 @@ def test_shadows_appear_with_the_first_body_of_a_scene_that_stood_still() -> Non
     assert _equal(_changed(_scene(light=LIT), after), _fresh(after))
 
 
-def test_appearances_and_patterns_of_bodies_are_theirs() -> None:
+def test_each_body_has_its_own_appearance_and_pattern() -> None:
     striped = replace(ROBOT, appearance=Appearance(pattern=Pattern("checker", 0, ((1.0, 0.0, 0.0), (1.0, 1.0, 1.0)), 0.2)))
     cloudy = replace(CRATE, appearance=Appearance(hue=0.3, pattern=Pattern("noise", 5, ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)), 0.3)))
     plain = _scene(ROBOT)
@@ -144,13 +144,13 @@ def test_materials_that_the_scene_did_not_have_before_are_drawn(material: Materi
     assert _equal(_changed(_scene(ROBOT, light=LIT), after, loader=loader_of(quad)), _fresh(after, loader=loader_of(quad)))
 
 
-def test_a_standing_world_that_has_changed_is_loaded_anew() -> None:
+def test_a_changed_static_world_is_reloaded() -> None:
     moved = replace(WALL, pose=replace(WALL.pose, position=(4.0, 0.0, 0.0)))
     after = _scene(ROBOT, revision=2, static=(moved,))
     assert _equal(_changed(_scene(ROBOT), after), _fresh(after))
 
 
-def test_files_that_have_changed_under_their_names_are_loaded_anew() -> None:
+def test_changed_files_are_reloaded() -> None:
     card = replace(WALL, shape=Shape("mesh", mesh="/card"), color=None)
     quads = {name: loader_of(facing_quad(0.0, 0.6, Material(base_color=color))) for name, color in (("old", RED), ("new", GREEN))}
     content = "old"
@@ -176,7 +176,7 @@ def test_states_of_the_revision_before_are_refused() -> None:
             renderer.render(_state(first), [EYE])
 
 
-def test_a_body_on_a_link_that_is_not_there_is_left_out_with_a_warning() -> None:
+def test_a_body_on_an_unknown_link_is_left_out_with_a_warning() -> None:
     after = replace(_scene(ROBOT, CRATE, revision=2), links=("robot/base",))
     with Renderer(_scene(ROBOT)) as renderer:
         renderer.update(after)

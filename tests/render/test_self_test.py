@@ -28,18 +28,18 @@ def right() -> Frame:
 
 @pytest.mark.egl
 @pytest.mark.usefixtures("egl")
-def test_this_machine_draws_every_pixel_as_it_should() -> None:
+def test_self_test_passes_on_this_machine() -> None:
     assert self_test().startswith(f"pixel-exact ({digest(right())}) on ")
 
 
 @pytest.mark.egl
 @pytest.mark.usefixtures("egl")
-def test_a_device_that_is_not_there_is_an_error() -> None:
+def test_an_unknown_device_is_an_error() -> None:
     with pytest.raises(GraphicsUnavailableError, match="does not exist"):
         self_test("99")
 
 
-def test_what_is_expected_is_where_the_plates_are() -> None:
+def test_expected_values_are_at_the_plates() -> None:
     e = expected()
     assert e.rgb[8, 8].tolist() == [200, 30, 40], "the upper half of the plate at the top left"
     assert e.rgb[31, 8].tolist() == [220, 180, 20]
@@ -53,7 +53,7 @@ def test_a_right_frame_has_no_problems() -> None:
     assert compare(right()) == []
 
 
-def test_an_image_upside_down_is_called_so() -> None:
+def test_a_vertically_flipped_image_is_reported() -> None:
     frame = right()
     assert frame.rgb is not None
     flipped = {name: getattr(frame, name)[::-1] for name in ("rgb", "depth", "semantic", "instance")}

@@ -90,7 +90,7 @@ class TestDrawn:
         expected = 255.0 * (1.055 * (0.6 * facing[lit]) ** (1 / 2.4) - 0.055)
         assert np.abs(shaded.rgb[lit][:, 0] - expected).max() <= 3.0
 
-    def test_what_moves_takes_its_shadow_along(self) -> None:
+    def test_moving_body_moves_its_shadow(self) -> None:
         moving = replace(box((0.0, 0.0, 0.5), BLUE), link="a/b", name="mover")
         spot = np.array([[1.2, 0.0, 0.0], [1.2, 3.0, 0.0]])
         pixels, _ = project(transform_points(invert(matrix_from_pose(ABOVE.pose)), spot), ABOVE)
@@ -126,7 +126,7 @@ def _edge(dark: np.ndarray, at: float) -> float:
 
 @pytest.mark.egl
 @pytest.mark.usefixtures("egl")
-def test_what_is_cut_out_of_a_texture_lets_the_sun_through() -> None:
+def test_masked_texels_cast_no_shadow() -> None:
     pixels = np.full((16, 16, 4), 255, dtype=np.uint8)
     pixels[:, :8, 3] = 0
     material = Material(base_color=WHITE, texture=TextureSource("test", pixels), alpha_mode="mask", unlit=True)

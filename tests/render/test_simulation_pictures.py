@@ -32,7 +32,7 @@ def test_frames_are_those_of_a_renderer_made_by_hand() -> None:
             )
 
 
-def test_what_is_spawned_moved_and_removed_is_seen_so() -> None:
+def test_images_show_spawned_moved_and_removed_bodies() -> None:
     with gs.Simulation("flat", views="top") as sim:
         assert [camera.name for camera in sim.cameras] == ["camera", "view_top"]
         empty = sim.render("view_top", outputs=["rgb"]).rgb
@@ -76,7 +76,7 @@ def test_earlier_states_are_those_of_the_same_things() -> None:
             sim.render(outputs="flow", previous="x")  # type: ignore[arg-type]
 
 
-def test_a_forked_process_is_told_that_it_cannot_draw() -> None:
+def test_rendering_in_a_forked_process_is_refused() -> None:
     with gs.Simulation("flat") as sim:
         sim.render(outputs="rgb")
         reading, writing = os.pipe()

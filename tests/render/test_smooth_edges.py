@@ -72,7 +72,7 @@ def test_samples_are_mixed_in_linear_light() -> None:
     np.testing.assert_allclose(found, GREYS, atol=1)  # drivers round as they like
 
 
-def test_what_is_covered_is_white_and_the_rest_black() -> None:
+def test_covered_pixels_are_white_and_the_rest_black() -> None:
     image, expected = _white_on_black(), _coverage()
     assert (image[expected == 1.0] == 255).all()
     assert (image[expected == 0.0] == 0).all()

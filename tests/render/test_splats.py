@@ -80,7 +80,7 @@ def test_a_picture_with_any_matrix_is_that_of_the_reference(tmp_path: Path) -> N
     assert _psnr(_rgb(frame), np.clip(image + left[..., None] * BACKGROUND, 0.0, 1.0)) > 48.0
 
 
-def test_what_is_left_out_changes_no_bit_and_neither_does_a_second_run(tmp_path: Path) -> None:
+def test_culling_and_a_second_run_keep_images_bit_equal(tmp_path: Path) -> None:
     spec = _file(tmp_path, random_splats(3000, 1, size=4.0))
     drawn = replace(scene(box((1.0, 0.0, 0.0), size=(0.1, 1.5, 1.5)), box((0.0, 1.0, 0.0), BLUE)), splats=spec)
     cameras = [eye_at((-1.0, 0.3, 0.2), (1.0, 0.0, 0.0)), eye_at((0.2, -1.0, 0.5), (0.0, 1.0, 0.0), width=48, near=0.02)]
@@ -125,7 +125,7 @@ def test_all_other_outputs_are_those_without_splats_to_the_bit(tmp_path: Path, p
     assert (_rgb(full) != _rgb(bare)).any()
 
 
-def test_where_no_splat_is_the_mesh_is_seen(tmp_path: Path) -> None:
+def test_the_mesh_is_visible_where_no_splat_covers_it(tmp_path: Path) -> None:
     plain = scene(box((2.0, 0.0, 0.0), GREEN, (0.1, 9.0, 9.0)))
     (bare,) = _draw(plain, EYE)
     (full,) = _draw(replace(plain, splats=_file(tmp_path, _red((1.9, 0.9, 0.0), size=0.1))), EYE)
@@ -155,7 +155,7 @@ def test_a_slanted_surface_lets_through_as_much_along_its_normal(tmp_path: Path)
     assert found[-0.53] > 0.15 and found[-0.8] < 0.02
 
 
-def test_what_moves_hides_splats_behind_it_and_is_hidden_by_those_before_it(tmp_path: Path) -> None:
+def test_moving_bodies_and_splats_occlude_each_other(tmp_path: Path) -> None:
     plain = scene(box((0.0, 0.0, 0.0), BLUE, (0.2, 1.0, 1.0), link="robot"), links=("robot",))
     drawn = replace(plain, splats=_file(tmp_path, _red((1.5, 0.0, 0.0), size=0.05)))
     red = {x: _rgb(_draw(drawn, EYE, positions=((x, 0.0, 0.0),))[0])[31:33, 31:33, 0].max() for x in (1.0, 1.39, 2.0)}
@@ -163,7 +163,7 @@ def test_what_moves_hides_splats_behind_it_and_is_hidden_by_those_before_it(tmp_
     assert red[1.0] < 0.02 and red[1.39] < 0.02 and red[2.0] > 0.7
 
 
-def test_splats_are_darker_beside_what_moves_by_what_its_box_takes_of_the_light(tmp_path: Path) -> None:
+def test_moving_bodies_darken_nearby_splats_by_the_ambient_occlusion_of_their_boxes(tmp_path: Path) -> None:
     plain = scene(
         box((2.5, 0.0, 0.0), GREEN, (1.0, 9.0, 9.0)), box((0.0, 0.0, 0.0), BLUE, (0.2, 0.2, 0.2), link="robot"), links=("robot",)
     )
@@ -179,7 +179,7 @@ def test_splats_are_darker_beside_what_moves_by_what_its_box_takes_of_the_light(
     assert away > 0.9 and beside / away == pytest.approx(1.0 - 0.6 * taken, abs=0.006)
 
 
-def test_splats_before_what_moves_and_far_from_it_are_as_bright_as_without_it(tmp_path: Path) -> None:
+def test_moving_bodies_do_not_darken_splats_before_them_or_far_away(tmp_path: Path) -> None:
     plain = scene(box((0.0, 0.0, 0.0), BLUE, (0.2, 0.2, 0.2), link="robot"), links=("robot",))
     drawn = replace(plain, splats=_file(tmp_path, _red((1.5, 0.0, 0.0), (1.9, 0.8, 0.0), size=0.05)))
     beside, away = (_rgb(_draw(drawn, EYE, positions=(position,))[0]) for position in ((1.9, 0.0, 0.0), (-3.0, 0.0, 0.0)))
@@ -250,7 +250,7 @@ def test_bodies_that_come_and_go_leave_the_splats_and_other_splats_replace_them(
         assert _rgb(renderer.render(state(revision=3), [EYE])[0]).max() == 0.0
 
 
-def test_a_file_of_splats_that_has_changed_is_loaded_anew(tmp_path: Path) -> None:
+def test_a_changed_file_of_splats_is_reloaded(tmp_path: Path) -> None:
     first = replace(scene(), splats=_file(tmp_path, _red((1.0, 0.0, 0.0))), content_hash="old")
     with Renderer(first) as renderer:
         before = renderer.render(state(), [EYE])[0]

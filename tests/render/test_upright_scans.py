@@ -25,7 +25,7 @@ PARTS = [
 
 
 @pytest.mark.parametrize("name", ["flat"])
-def test_a_scan_turned_anyhow_is_levelled_upright_or_said_to_be_unclear(name: str, tmp_path) -> None:
+def test_a_scan_in_any_rotation_is_levelled_upright_or_reported_as_ambiguous(name: str, tmp_path) -> None:
     settings = ScanSettings(TourSettings(**PARTS[0]), ScanCamera(**PARTS[1]), Defects(**PARTS[2]))
     scan(load_scene(name), tmp_path, settings)
     vertices, triangles = depth_mesh(open_posed_rgbd(tmp_path), every=2)

@@ -81,7 +81,7 @@ def _texture(pixels, sampling: Sampling | None = None) -> TextureSource:
     return TextureSource("test", np.array(pixels, dtype=np.uint8), sampling or Sampling())
 
 
-def test_they_multiply_a_texture_in_linear_light():
+def test_vertex_colours_multiply_a_texture_in_linear_light():
     grey = _texture([[[188, 188, 188]]])  # 0.5 of the light
     (part,) = facing_quad(1.0, 1.0, replace(WHITE, texture=grey)).parts
     mesh = Mesh((replace(part, colors=np.full((4, 3), (255, 188, 0), dtype=np.uint8)),))
@@ -89,7 +89,7 @@ def test_they_multiply_a_texture_in_linear_light():
 
 
 @pytest.mark.parametrize("texture", [None, _texture([[[255, 255, 255]]])])
-def test_their_alpha_cuts_holes_and_blends(texture):
+def test_alpha_of_vertex_colours_cuts_holes_and_blends(texture):
     colors = np.full((4, 4), 255, dtype=np.uint8)
     colors[:, 3] = 102  # 0.4
     (part,) = facing_quad(1.0, 1.0, replace(WHITE, texture=texture, alpha_mode="mask")).parts

@@ -1,4 +1,4 @@
-"""A session of a coding agent over stdin and stdout, played by the client of the MCP SDK: one simulation, in which all tests take place."""
+"""A session of a coding agent over stdin and stdout, with the client of the MCP SDK: all tests share one simulation."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def running(agent: Agent) -> Agent:
     return agent
 
 
-def test_without_a_simulation_each_tool_says_so(agent: Agent) -> None:
+def test_each_tool_reports_that_no_simulation_runs(agent: Agent) -> None:
     assert agent.ask("get_state") == {"simulation": "none", "folders": [str(agent.folder)]}
     for name, arguments in {"get_image": {}, "drive": {"seconds": 1.0}, "stop_simulation": {}, "start_recording": {}}.items():
         assert agent.error(name, **arguments) == "no simulation runs: call start_simulation first"
@@ -245,7 +245,7 @@ def test_a_paused_simulation_says_what_to_do(running: Agent) -> None:
     assert not running.ask("pause", paused=False)["paused"]
 
 
-def test_it_stops(running: Agent) -> None:
+def test_stop_simulation_ends_the_simulation(running: Agent) -> None:
     assert running.ask("stop_simulation")["stopped"] == "flat"
     assert running.ask("get_state")["simulation"] == "none"
     DomainLock(int(os.environ["ROS_DOMAIN_ID"])).close()

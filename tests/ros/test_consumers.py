@@ -159,7 +159,7 @@ def test_imu_lies_between_two_transforms_of_neighbouring_ticks(heard: dict[str, 
 
 
 @every_latched
-def test_late_joiner_gets_what_is_latched(sim: Launched, listener: Listener, wanted: Row) -> None:
+def test_late_subscriber_receives_latched_messages(sim: Launched, listener: Listener, wanted: Row) -> None:
     messages = listener.collect(wanted.kind, wanted.topic, wanted.qos)
     listener.spin_until(lambda: bool(messages), f"{wanted.topic} for {wanted.who}")
     assert dict(listener.node.get_topic_names_and_types())[wanted.name] == [wanted.type_name]
@@ -284,14 +284,14 @@ def test_nothing_is_published_while_time_stands_still(sim: Launched, listener: L
     assert {name: len(messages) for name, messages in streams.items() if messages} == {}
 
 
-def test_paused_simulation_says_so(sim: Launched, control: SimulationClient) -> None:
+def test_pause_sets_the_paused_state(sim: Launched, control: SimulationClient) -> None:
     control.pause()
     assert control.state == SimulationState.STATE_PAUSED
 
 
 @in_real_time
 @pytest.mark.parametrize("steps", [1, 7, 24])
-def test_step_makes_so_many_physics_steps_and_everything_that_is_due_in_them(
+def test_step_runs_the_requested_physics_steps_and_publishes_all_that_is_due(
     sim: Launched, listener: Listener, control: SimulationClient, steps: int
 ) -> None:
     control.pause()
@@ -317,7 +317,7 @@ def _settled(listener: Listener, clock: list[Any]) -> int:
     return step_of(stamp_ns(clock[-1]))
 
 
-def test_reset_begins_time_again_and_counts_an_epoch(sim: Launched, listener: Listener, control: SimulationClient) -> None:
+def test_reset_restarts_time_and_increments_the_epoch(sim: Launched, listener: Listener, control: SimulationClient) -> None:
     epochs = listener.collect(Epoch, "simulation_epoch", LATCHED)
     streams = _streams(listener, _is_drawn(sim))
     listener.spin_until(lambda: bool(epochs), "the epoch")

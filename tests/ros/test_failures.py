@@ -48,7 +48,7 @@ def test_missing_texture_warns_and_draws(ros_domain: int, tmp_path: Path) -> Non
     assert any("render: camera camera, " in line and " 0 images" not in line for line in launched.lines)
 
 
-def test_machine_without_egl_is_told_which_packages_bring_it(ros_domain: int, tmp_path: Path) -> None:
+def test_error_without_egl_names_the_packages_to_install(ros_domain: int, tmp_path: Path) -> None:
     launched = Launched("run", "--scene", str(write_room(tmp_path)), "--egl-library", "libNoSuchEGL.so.1")
     assert launched.wait() == 1
     error = next(line for line in launched.lines if line.startswith("error:"))

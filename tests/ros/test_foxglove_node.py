@@ -182,7 +182,7 @@ def _yaw(client: FoxgloveClient) -> float:
     return float(2.0 * np.arctan2(q.z, q.w))
 
 
-def test_what_is_no_message_reaches_no_node_and_ends_nothing(server: Launched, listener: Listener) -> None:
+def test_malformed_message_reaches_no_node_and_ends_nothing(server: Launched, listener: Listener) -> None:
     commands = listener.collect(Twist, "/cmd_vel")
 
     async def talk(client: FoxgloveClient) -> None:
@@ -254,7 +254,7 @@ def test_parameters_are_read_set_and_refused_with_a_reason(server: Launched) -> 
     _talk(server, talk)
 
 
-def test_a_client_that_may_only_look_can_do_nothing_else(simulation: Launched, listener: Listener) -> None:
+def test_read_only_client_can_only_subscribe(simulation: Launched, listener: Listener) -> None:
     commands = listener.collect(Twist, "/cmd_vel")
 
     async def talk(client: FoxgloveClient) -> None:
@@ -292,7 +292,7 @@ def test_topics_of_other_nodes_come_and_go(listener: Listener, ros_domain: int) 
         _talk(launched, talk)
 
 
-def test_time_is_this_machines_where_there_is_no_clock(ros_domain: int) -> None:
+def test_wall_time_is_used_without_a_clock(ros_domain: int) -> None:
     launched = Launched(
         "web", "--foxglove", "--port", "0", env={"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}
     )  # it discovers no simulation
@@ -351,7 +351,7 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(inner)
 
 
-def test_pages_of_other_sites_are_not_refused_and_that_is_said(server: Launched) -> None:
+def test_cross_origin_pages_are_accepted_with_a_warning(server: Launched) -> None:
     """The SDK checks no origin: the line at the start must not promise more than it does."""
 
     async def talk(client: FoxgloveClient) -> int:
@@ -361,12 +361,12 @@ def test_pages_of_other_sites_are_not_refused_and_that_is_said(server: Launched)
     assert "every web page in a browser on it, can read and command everything" in server.wait_for_line("foxglove: ws://")
 
 
-def test_address_of_other_machines_is_warned_of(ros_domain: int) -> None:
+def test_non_local_address_is_warned_of(ros_domain: int) -> None:
     with _serve("--host", "0.0.0.0") as launched:
         assert "every machine that reaches 0.0.0.0 port" in launched.wait_for_line("warning: ")
 
 
-def test_port_that_is_taken_is_one_line(server: Launched) -> None:
+def test_occupied_port_is_refused_in_one_line(server: Launched) -> None:
     port = _url(server).rpartition(":")[2]
     other = Launched("web", "--foxglove", "--port", port)
     assert other.wait() == 1
@@ -375,7 +375,7 @@ def test_port_that_is_taken_is_one_line(server: Launched) -> None:
     ]
 
 
-def test_run_serves_it_too_and_goes_on_without_it(simulation: Launched) -> None:
+def test_run_starts_the_foxglove_server_and_survives_its_end(simulation: Launched) -> None:
     async def talk(client: FoxgloveClient) -> None:
         await client.subscribe("/odom")
         await client.until(lambda: "/odom" in client.messages, "odometry")

@@ -1,4 +1,4 @@
-"""The node ``goggles``: images in, images out, with stamp, frame and calibration; what cannot be used is one line."""
+"""The node ``goggles``: images in, images out, with stamp, frame and calibration; unusable images are one line."""
 
 from __future__ import annotations
 

@@ -43,11 +43,11 @@ def test_type_that_does_not_exist_is_refused_and_the_others_are_set(node: Node) 
     assert node.get_parameter("rate").value == 2.0
 
 
-def test_all_or_nothing_is_nothing_where_one_is_wrong(node: Node) -> None:
+def test_atomic_set_changes_nothing_if_one_value_is_invalid(node: Node) -> None:
     response = _ask(node, SetParametersAtomically, SetParametersAtomically.Request(parameters=[GOOD, NO_TYPE]))
     assert not response.result.successful and "77" in response.result.reason
     assert node.get_parameter("rate").value == 1.0
 
 
-def test_what_is_right_is_answered_as_ever(node: Node) -> None:
+def test_valid_requests_are_answered_as_usual(node: Node) -> None:
     assert _ask(node, GetParameters, GetParameters.Request(names=["rate"])).values[0].double_value == 1.0

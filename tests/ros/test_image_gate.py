@@ -62,7 +62,7 @@ def test_no_image_with_a_subscriber_is_skipped(start: Callable[..., Launched], l
     _receives_all(listener, listener.collect(kind, topic, DEEP))
 
 
-def test_it_can_be_turned_off(start: Callable[..., Launched], listener: Listener) -> None:
+def test_image_gate_can_be_disabled(start: Callable[..., Launched], listener: Listener) -> None:
     start("--rate", "max", "--image-timeout", "0")
     images = listener.collect(Image, "camera/image_raw", DEEP)
     listener.spin_until(lambda: len(images) > 5 and not _whole(images), "an image that was skipped")

@@ -204,7 +204,7 @@ def test_all_topics_of_a_camera_carry_one_stamp_and_its_frame(rig: Rig) -> None:
     assert encodings["eye/semantic/image_raw"] == encodings["eye/instance/image_raw"] == "16UC1"
 
 
-def test_state_that_waits_when_the_node_is_asked_to_end_is_drawn(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queued_state_is_rendered_before_the_node_ends(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing else would draw the last tick of a run, which its recording would then lack."""
     render = rig.render()
     rig.load(_scene(EYE))
@@ -218,7 +218,7 @@ def test_state_that_waits_when_the_node_is_asked_to_end_is_drawn(rig: Rig, monke
     rig.spin_until(lambda: stamp in map(_stamp, images), "the image of the last state")
 
 
-def test_who_subscribes_while_time_stands_receives_one_image_of_the_newest_state(rig: Rig) -> None:
+def test_subscriber_in_paused_time_receives_one_image_of_the_newest_state(rig: Rig) -> None:
     render = rig.render()
     rig.load(_scene(replace(EYE, outputs=("rgb", "depth"))))
     stamp = rig.tick()
@@ -248,7 +248,7 @@ def test_compressed_image_decodes_to_the_raw_one(rig: Rig, setting: str, image_f
     assert np.abs(bgr[:, :, ::-1].astype(int) - rgb)[10:38, 2:20].max() <= worst, "within the wall, away from its edges"
 
 
-def test_quality_of_jpeg_is_the_parameters(rig: Rig) -> None:
+def test_jpeg_quality_follows_its_parameter(rig: Rig) -> None:
     rig.render(jpeg_quality=5)
     rig.load(_scene(EYE))
     raw, packed = rig.collect(Image, "eye/image_raw"), rig.collect(CompressedImage, "eye/image_raw/compressed")
@@ -529,7 +529,7 @@ def test_cameras_of_namespaced_robots_have_topics_below_their_name(rig: Rig) -> 
     assert left[0].header.frame_id == "left/camera_optical_frame"
 
 
-def test_a_body_that_is_spawned_is_seen_and_then_it_goes(rig: Rig) -> None:
+def test_a_spawned_body_appears_in_images_until_it_is_deleted(rig: Rig) -> None:
     rig.render()
     rig.load(_scene(EYE))
     images = rig.collect(Image, "eye/image_raw")
@@ -601,7 +601,7 @@ def test_topics_go_with_their_camera(rig: Rig) -> None:
     assert rig.user.count_publishers("/eye/image_raw") == 1
 
 
-def test_both_fisheyes_of_the_robot_that_sees_all_around_publish(rig: Rig) -> None:
+def test_both_fisheyes_of_the_surround_view_robot_publish(rig: Rig) -> None:
     robot = load_robot(find_robot("gibson_bot_360"))
     cameras = tuple(replace(camera, link="", width=64, height=64) for camera in robot.cameras)
     rig.render()
@@ -626,7 +626,7 @@ def test_snapshots_of_a_namespaced_camera_are_plain_files(rig: Rig, tmp_path: Pa
     assert {path.name for path in tmp_path.iterdir()} == {"left_camera_rgb.png", "left_camera_position.npy"}
 
 
-def test_a_file_of_another_machine_that_is_not_here_is_named(rig: Rig) -> None:
+def test_a_file_of_another_machine_that_is_missing_here_is_named(rig: Rig) -> None:
     render = rig.render()
     lost = VisualSpec("lost", "", Shape("mesh", mesh="/opt/other/scenes/gone/a.obj"))
     rig.load(_scene(EYE, visuals=(WALL, lost)), ready=False)

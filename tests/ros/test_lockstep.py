@@ -223,9 +223,7 @@ def test_a_recorder_that_comes_later_takes_part_until_it_ends(
     assert len(steps) == 50, "ten a second, for five seconds"
 
 
-def test_time_goes_on_without_a_drive_that_a_user_started_and_that_is_done(
-    start: Callable[..., Launched], listener: Listener
-) -> None:
+def test_time_goes_on_after_a_drive_started_by_a_user_has_finished(start: Callable[..., Launched], listener: Listener) -> None:
     launched = start("--no-render", "--participant-timeout", "100")
     odometry = listener.collect(Odometry, "odom", DEEP)
     drive = LaunchedNode("drive", "-p", "drive:=forward", "-p", "length:=0.2", env={PARENT_VARIABLE: ""})
@@ -280,7 +278,7 @@ def test_a_report_of_a_node_that_has_not_joined_is_a_warning(start: Callable[...
     listener.spin_until(lambda: controller.ticks > ticks + 100, "time that goes on without it")
 
 
-def test_participants_that_are_no_rule_are_refused_before_anything_starts() -> None:
+def test_invalid_participant_rules_are_refused_before_anything_starts() -> None:
     launched = Launched("run", "--lockstep", "--participants", "follow=cmd_vel because odom")
     assert launched.wait() == 1
     assert "must be `render`, `follow=cmd_vel after odom`" in "\n".join(launched.lines)

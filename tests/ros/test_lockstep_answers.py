@@ -89,7 +89,7 @@ def test_messages_arrive_whatever_the_quality_of_service_of_their_publisher(two:
     two.until(lambda: two.received == ["r1/pose"], "a message")
 
 
-def test_a_topic_that_somebody_waits_for_is_subscribed_to_before_anybody_publishes_it(two: Two) -> None:
+def test_an_awaited_topic_is_subscribed_to_before_it_has_a_publisher(two: Two) -> None:
     answers = two.answers("goal_pose")
     assert answers.is_matched("goal_pose"), "nobody has it"
     two.stack.create_subscription(PoseStamped, "/goal_pose", lambda msg: None, 10)
@@ -100,7 +100,7 @@ def test_a_topic_that_somebody_waits_for_is_subscribed_to_before_anybody_publish
     assert answers.problem("goal_pose") == "no publisher on goal_pose"
 
 
-def test_messages_of_a_publisher_that_comes_after_who_waits_for_it_arrive_whatever_its_quality_of_service(two: Two) -> None:
+def test_messages_of_a_late_publisher_arrive_whatever_its_quality_of_service(two: Two) -> None:
     answers = two.answers("goal_pose")
     two.stack.create_subscription(PoseStamped, "/goal_pose", lambda msg: None, BEST_EFFORT)
     looks = found(answers, "goal_pose")
@@ -172,7 +172,7 @@ def test_time_begins_once_the_answers_of_a_rule_arrive(two: Two, monkeypatch: py
     assert publisher.get_subscription_count() == 1
 
 
-def test_one_that_rests_is_told_and_one_that_was_slow_makes_the_run_unrepeatable(
+def test_a_resting_participant_is_reported_and_a_slow_one_makes_the_run_unrepeatable(
     two: Two, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(lockstep_gate, "_SETTLED_NS", 0)

@@ -130,7 +130,7 @@ def test_a_participant_that_can_join_has_discovered_all_command_subscriptions(ro
         node.destroy_node()
 
 
-def test_one_without_after_is_matched_once_all_its_known_subscriptions_are() -> None:
+def test_a_participant_without_after_is_matched_once_its_known_subscriptions_are() -> None:
     graph = Graph()
     gate = LockstepGate(graph, PhysicsConfig(), lambda: None, lambda again: None)  # type: ignore[arg-type]
     gate.core.join("nav")

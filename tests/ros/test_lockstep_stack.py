@@ -1,4 +1,4 @@
-"""A navigation stack that knows nothing of lockstep drives the same way, to the bit, whenever it starts from the same place."""
+"""A navigation stack without support for lockstep repeats its drive, to the bit, from the same start."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def ended(make: Any) -> Any:
     return end.value.code
 
 
-def test_a_message_that_a_signal_overtakes_is_sent_and_the_node_is_asked_to_end() -> None:
+def test_a_message_in_progress_during_a_signal_is_sent_before_the_node_ends() -> None:
     assert ended(Talker) == 0
     assert ended(Terminated) == 0
 
@@ -93,7 +93,7 @@ def test_second_signal_ends_a_node_at_once() -> None:
     assert ended(Stuck) == 0
 
 
-def test_node_whose_launcher_ends_cleans_up_however_often_it_is_told(
+def test_node_whose_launcher_ends_cleans_up_despite_repeated_signals(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(node_main, "end_with_parent", lambda: None)
@@ -118,12 +118,12 @@ def test_signal_while_a_node_is_made_ends_it_at_once_and_handlers_are_put_back()
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_what_rclpy_refuses_is_not_swallowed() -> None:
+def test_rclpy_errors_are_not_swallowed() -> None:
     with pytest.raises(Exception, match="topic"):
         run_node(Broken, [])
 
 
-def test_what_keeps_ros_from_starting_is_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+def test_ros_start_up_failure_is_one_line(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         run_node(Talker, ["--ros-args", "--no-such-argument"])
     assert end.value.code == 1

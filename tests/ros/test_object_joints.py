@@ -62,7 +62,7 @@ def test_doors_and_drawers_are_published_opened_and_freed(simulation: Launched, 
         (JointState(name=["front_door/hinge"], position=[1.0, 2.0]), "has 2 values of position for 1 joints"),
     ],
 )
-def test_what_is_no_command_is_refused_with_a_reason(
+def test_invalid_joint_command_is_refused_with_a_reason(
     simulation: Launched, listener: Listener, command: JointState, said: str
 ) -> None:
     publisher = listener.node.create_publisher(JointState, COMMAND, 10)

@@ -57,7 +57,7 @@ def test_numbers_have_ranges_that_make_sliders(make: Make) -> None:
     assert "0 or more" in seed.additional_constraints
 
 
-def test_choices_units_and_what_is_read_once_are_said(make: Make) -> None:
+def test_descriptors_state_choices_units_and_read_only_parameters(make: Make) -> None:
     rate, reset_time, step_hz = _described(make(), PhysicsConfig, "rate", "reset_time", "step_hz")
     assert "one of rewind, monotonic" in reset_time.additional_constraints
     assert step_hz.additional_constraints == "60 to 10000 Hz; read when the node starts: restart it to change this"
@@ -79,7 +79,7 @@ def test_every_parameter_of_every_node_is_described_as_it_is_declared(make: Make
         assert all(choice in found.additional_constraints for choice in f.metadata["choices"])
 
 
-def test_wrong_value_fails_with_the_words_of_the_setting(make: Make) -> None:
+def test_invalid_value_fails_with_the_message_of_the_setting(make: Make) -> None:
     with pytest.raises(ConfigError, match="'step_hz' is 7, must be 60 to 10000 Hz"):
         config_from_parameters(make(step_hz=7), PhysicsConfig)
     with pytest.raises(ConfigError, match="must be of type float"):
@@ -92,7 +92,7 @@ def test_an_integer_may_stand_for_a_number_with_a_point(make: Make) -> None:
     assert node.set_parameters([Parameter("rate", value=3)])[0].successful
 
 
-def test_what_is_out_of_range_or_read_once_is_refused_while_the_node_runs(make: Make) -> None:
+def test_out_of_range_values_and_read_only_parameters_are_refused_while_the_node_runs(make: Make) -> None:
     node = make()
     config_from_parameters(node, PhysicsConfig, changeable=("rate",))
     fast, steps = node.set_parameters([Parameter("rate", value=2000.0), Parameter("step_hz", value=480)])

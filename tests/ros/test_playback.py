@@ -138,7 +138,7 @@ def test_clock_has_the_time_of_the_bag(listener: Listener, play: Callable[..., L
     assert times == [BEGIN_NS + NS + tick * PERIOD_NS for tick in range(21)], "40 Hz of wall time at twice the speed, once each"
 
 
-def test_interrupted_playback_says_so_in_one_line(listener: Listener, play: Callable[..., Launched]) -> None:
+def test_interrupted_playback_is_reported_in_one_line(listener: Listener, play: Callable[..., Launched]) -> None:
     texts = listener.collect(String, "/text", DEEP)
     playing = play("--rate", "0.001", "--wait-for", "/text")
     listener.spin_until(lambda: bool(texts), "the first text")

@@ -75,7 +75,7 @@ def test_local_simulation_is_closed_to_other_machines_and_open_to_plain_clients_
         simulation.stop()
 
 
-def test_simulation_of_the_subnet_is_open_to_other_machines_and_says_so(hosts: Hosts) -> None:
+def test_simulation_of_the_subnet_is_open_to_other_machines_and_reports_it(hosts: Hosts) -> None:
     simulation = _Simulation(hosts, "--reach", "subnet")
     try:
         assert any("reach: every machine of this network may see and command it" in line for line in simulation.lines)
@@ -101,7 +101,7 @@ def test_variables_of_ros_decide_where_no_reach_is_given_and_are_overruled_where
         simulation.stop()
 
 
-def test_machine_without_a_loopback_interface_is_told_so(hosts: Hosts) -> None:
+def test_missing_loopback_interface_is_reported(hosts: Hosts) -> None:
     command = ["unshare", "--net", sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", "flat", "--no-render"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1

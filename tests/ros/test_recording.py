@@ -175,7 +175,7 @@ def test_images_are_compressed_and_keep_their_stamps_and_counts(source: Source) 
     assert summary["bytes"]["/c/image_raw/compressed"] < 0.2 * 10 * 48 * 64 * 3
 
 
-def test_without_images_nothing_is_subscribed_but_what_is_named(source: Source) -> None:
+def test_without_images_only_named_topics_are_subscribed(source: Source) -> None:
     node = source.listener.node
     named, other = (node.create_publisher(Image, topic, DEEP) for topic in ("/named/image_raw", "/other/image_raw"))
     source.record(record_images="none", topics="/clock,/text,/short,/room,/named/image_raw")
@@ -264,7 +264,7 @@ def test_recording_goes_on_in_another_bag_after_a_reset(source: Source) -> None:
     assert sum("time went back from 5.000 s to 0.000 s" in line for line in recorder.lines) == 1
 
 
-def test_where_lockstep_runs_already_it_begins_once_all_publishers_are_matched(source: Source) -> None:
+def test_recording_of_running_lockstep_begins_once_all_publishers_are_matched(source: Source) -> None:
     listener, node, publishers = source.listener, source.listener.node, list[Any]()
     said = listener.collect(TickDone, "tick_done", qos.TICK_DONE)
     news = node.create_timer(0.2, lambda: publishers.append(node.create_publisher(String, f"/new_{len(publishers)}", 10)))
@@ -299,7 +299,7 @@ def test_where_lockstep_runs_already_it_begins_once_all_publishers_are_matched(s
     assert any("time is running already: the bag begins" in line for line in recorder.lines)
 
 
-def test_where_lockstep_runs_already_it_begins_once_each_image_topic_has_delivered_an_image(source: Source) -> None:
+def test_recording_of_running_lockstep_begins_once_each_image_topic_has_an_image(source: Source) -> None:
     """A renderer that is short of CPU time discovers the recorder's subscription late: its images before that do not arrive."""
     listener, node = source.listener, source.listener.node
     said = listener.collect(TickDone, "tick_done", qos.TICK_DONE)

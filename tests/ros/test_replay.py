@@ -1,4 +1,4 @@
-"""A recorded run again: equal to the bit, and able to differ."""
+"""Replay of a recorded run: bit-equal, and different if an input differs."""
 
 from __future__ import annotations
 

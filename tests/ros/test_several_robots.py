@@ -126,7 +126,7 @@ def test_messages_of_a_namespaced_robot_are_in_frames_without_prefix(sim: Launch
 
 
 @each_robot
-def test_robot_starts_where_it_was_asked_to(sim: Launched, listener: Listener, name: str) -> None:
+def test_robot_starts_at_its_requested_pose(sim: Launched, listener: Listener, name: str) -> None:
     truth = listener.collect(Odometry, f"{name}/ground_truth/odom")
     listener.spin_until(lambda: bool(truth), "ground truth")
     place = truth[0].pose.pose.position

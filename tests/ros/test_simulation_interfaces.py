@@ -201,7 +201,7 @@ def test_features_are_those_of_the_message_and_of_our_table(client: Client) -> N
 # Get/SetSimulationState
 
 
-def test_states_follow_each_other_as_asked(start: Client) -> None:
+def test_states_change_as_requested(start: Client) -> None:
     for wanted in (PLAYING, PAUSED, PLAYING, STOPPED, PLAYING, STOPPED, PAUSED):
         assert start.set_state(wanted) == OK
         assert start.state == wanted
@@ -253,7 +253,7 @@ def test_stop_is_a_transition_error_where_the_start_cannot_be_brought_back(start
     ("scope", "rewound", "moved_back", "despawned"),
     [(ALL, 1, 1, 1), (255, 1, 1, 1), (TIME, 1, 0, 0), (STATE, 0, 1, 0), (SPAWNED, 0, 0, 1), (TIME | SPAWNED, 1, 0, 1)],
 )
-def test_reset_is_about_its_scope_alone(start: Client, scope: int, rewound: int, moved_back: int, despawned: int) -> None:
+def test_reset_affects_its_scope_alone(start: Client, scope: int, rewound: int, moved_back: int, despawned: int) -> None:
     assert start.code(srv.StepSimulation, steps=24) == OK
     assert start.code(srv.SetEntityState, entity="robot", state=state_of(x=1.0, y=-1.0)) == OK
     assert start.spawn(initial_pose=placed(x=-1.0, z=1.0)) == OK
@@ -270,7 +270,7 @@ def test_reset_while_playing_goes_on_playing(start: Client) -> None:
     start.listener.spin_until(lambda: start.now_ns() > 0, "time")
 
 
-def test_reset_of_nothing_known_fails(start: Client) -> None:
+def test_reset_of_an_unknown_scope_fails(start: Client) -> None:
     assert start.code(srv.ResetSimulation, scope=8) == FAILED
 
 
@@ -326,7 +326,7 @@ def result_of(client: Client, handle: Any) -> Any:
     return future.result()
 
 
-def test_action_tells_every_step_and_succeeds(start: Client) -> None:
+def test_action_reports_every_step_and_succeeds(start: Client) -> None:
     first: list[Any] = []
     seen: list[tuple[int, int]] = []
     # The server's first feedback is lost while it has not found the client yet.
@@ -403,7 +403,7 @@ def test_impossible_filters_are_refused(start: Client, filters: dict[str, Any], 
         assert start.code(kind, filters=msg.EntityFilters(**filters)) == code
 
 
-def test_pattern_made_to_run_for_ever_is_answered(start: Client) -> None:
+def test_catastrophic_backtracking_pattern_is_answered(start: Client) -> None:
     assert start.spawn(name="a" * 250) == OK
     assert start.names(filter="^(a+)+b$") == []
 
@@ -411,7 +411,7 @@ def test_pattern_made_to_run_for_ever_is_answered(start: Client) -> None:
 # GetEntityState, SetEntityState
 
 
-def test_entity_is_where_it_was_put_and_the_state_says_so_in_the_world_frame(start: Client) -> None:
+def test_entity_is_at_its_set_pose_and_the_state_is_in_the_world_frame(start: Client) -> None:
     quarter = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
     assert start.spawn() == OK
     wanted = state_of("world", Vector3(x=0.5), x=1.0, y=0.5, z=1.5, orientation=quarter)
@@ -436,11 +436,11 @@ def test_entity_is_where_it_was_put_and_the_state_says_so_in_the_world_frame(sta
         state_of("f" * 3_000_000),
     ],
 )
-def test_pose_that_is_none_is_refused(start: Client, bad: msg.EntityState) -> None:
+def test_invalid_pose_is_refused(start: Client, bad: msg.EntityState) -> None:
     assert start.code(srv.SetEntityState, entity="robot", state=bad) == 101
 
 
-def test_velocity_that_is_none_fails(start: Client) -> None:
+def test_invalid_velocity_fails(start: Client) -> None:
     assert start.code(srv.SetEntityState, entity="robot", state=state_of(linear=Vector3(x=math.nan))) == FAILED
 
 
@@ -457,7 +457,7 @@ def test_static_entity_takes_no_velocity(start: Client) -> None:
 # Get/SetEntityInfo, GetEntityBounds
 
 
-def test_info_is_what_was_set_and_filters_see_it(start: Client) -> None:
+def test_info_can_be_set_and_filtered_by(start: Client) -> None:
     info = msg.EntityInfo(category=msg.EntityCategory(category=2), description="a tester", tags=["tall", "blue"])
     assert start.code(srv.SetEntityInfo, entity="robot", info=info) == OK
     assert start.call(srv.GetEntityInfo, entity="robot").info == info
@@ -504,7 +504,7 @@ def test_spawned_entity_falls_and_goes_when_deleted(start: Client, folder: Path)
     assert start.code(srv.DeleteEntity, entity="ball") == NOT_FOUND
 
 
-def test_name_that_is_taken_is_changed_only_where_that_is_allowed(start: Client) -> None:
+def test_duplicate_name_is_changed_only_where_renaming_is_allowed(start: Client) -> None:
     assert start.spawn(initial_pose=placed(x=1.0, z=0.5)) == OK
     assert start.spawn(initial_pose=placed(x=-1.0, z=0.5)) == 101
     answer = start.call(srv.SpawnEntity, resource_string=BALL, allow_renaming=True, initial_pose=placed(x=-1.0, z=0.5))
@@ -559,7 +559,7 @@ ABSENT = BALL.replace('<sphere radius="0.1"/>', '<mesh filename="package://nothi
         ({"name": "x", "uri": "gibson_bot", "entity_namespace": "x", "initial_pose": placed(x=2.0)}, 109),
     ],
 )
-def test_what_cannot_be_spawned_is_refused_and_leaves_nothing(start: Client, fields: dict[str, Any], code: int) -> None:
+def test_invalid_spawn_is_refused_and_leaves_nothing(start: Client, fields: dict[str, Any], code: int) -> None:
     assert start.code(srv.SpawnEntity, **fields) == code
     assert start.names() == ["robot"]
 
@@ -655,7 +655,7 @@ def test_world_may_come_as_text(start: Client) -> None:
     assert (answer.world.name, answer.world.world_resource.resource_string) == ("typed", text)
 
 
-def test_what_is_missing_or_unsupported_may_be_left_out(start: Client, folder: Path) -> None:
+def test_missing_and_unsupported_assets_are_left_out_on_request(start: Client, folder: Path) -> None:
     for name in ("missing", "unsupported_asset"):
         wanted = {"uri": str(folder / f"{name}.sdf"), "ignore_missing_or_unsupported_assets": True}
         assert start.code(srv.LoadWorld, **wanted) == OK
@@ -689,7 +689,7 @@ def test_request_that_names_no_world_keeps_the_present_one(start: Client) -> Non
     assert start.names() == ["robot"]
 
 
-def test_without_a_world_there_is_nothing_to_ask_for(start: Client) -> None:
+def test_without_a_world_all_requests_fail(start: Client) -> None:
     assert start.code(srv.UnloadWorld) == OK
     assert start.state == NO_WORLD
     assert start.code(srv.UnloadWorld) == 101
@@ -715,7 +715,7 @@ def test_without_a_world_there_is_nothing_to_ask_for(start: Client) -> None:
     assert start.spawn() == INCORRECT_STATE
 
 
-def test_worlds_are_ours_and_those_of_the_sources(start: Client, folder: Path) -> None:
+def test_worlds_are_the_built_in_ones_and_those_of_the_sources(start: Client, folder: Path) -> None:
     worlds = start.call(srv.GetAvailableWorlds, additional_sources=[str(folder)], offline_only=True).worlds
     assert {"flat", "good"} <= {world.name for world in worlds}
     sdf = start.call(srv.GetAvailableWorlds, additional_sources=[str(folder)], filter=msg.TagsFilter(tags=["sdf"])).worlds
@@ -723,7 +723,7 @@ def test_worlds_are_ours_and_those_of_the_sources(start: Client, folder: Path) -
     assert "flat" not in {world.name for world in sdf}
 
 
-def test_source_that_is_not_there_is_not_found_unless_it_is_to_go_on(start: Client) -> None:
+def test_missing_source_is_not_found_unless_continuing_is_requested(start: Client) -> None:
     bad = {"additional_sources": ["/no/such/folder"]}
     assert start.code(srv.GetAvailableWorlds, **bad) == NOT_FOUND
     assert start.code(srv.GetAvailableWorlds, **bad, continue_on_error=True) == OK

@@ -1,4 +1,4 @@
-"""Processes that die: what comes back shows the present, and what was recorded is whole."""
+"""Processes that die: restarted ones show the current state, and bags are whole."""
 
 from __future__ import annotations
 

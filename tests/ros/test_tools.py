@@ -100,7 +100,7 @@ def test_a_reader_that_ends_ends_a_tool_silently() -> None:
         assert process.stderr.read() == "" and process.wait(PATIENCE_S) == 0
 
 
-def test_latched_topics_are_echoed_to_who_comes_late() -> None:
+def test_latched_topics_are_echoed_to_late_subscribers() -> None:
     code, text = _run("topic", "echo", "--once", "/map")
     assert code == 0 and "  frame_id: map\n" in text
 
@@ -220,7 +220,7 @@ def test_ctrl_c_cancels_the_goal_of_an_action() -> None:
     _run("play")
 
 
-def test_a_tool_that_waits_while_time_is_paused_says_so() -> None:
+def test_a_tool_that_waits_while_time_is_paused_reports_it() -> None:
     _run("pause")
     code, text = _run("topic", "hz", "/scan", "--seconds", "9")
     _run("play")

@@ -86,7 +86,7 @@ def test_topics_are_listed_with_their_types(reporting: None) -> None:
     assert float(rows["/diagnostics"][1]) > 0.0
 
 
-def test_where_no_simulation_runs_it_says_so_and_exits_with_three(ros_domain: int) -> None:
+def test_top_without_a_simulation_reports_that_and_exits_with_three(ros_domain: int) -> None:
     done = _top("--once")
     assert done.returncode == 3
     assert done.stderr.count("\n") == 1

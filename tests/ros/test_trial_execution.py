@@ -1,4 +1,4 @@
-"""Runs of trials with small stacks, good and bad: each ends as what it is, and leaves nothing behind."""
+"""Runs of trials with small stacks, good and bad: each ends with its kind of end, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_equal_runs_with_things_and_people_are_equal_to_the_bit(room: str, tmp_p
 
 
 @pytest.mark.usefixtures("leaves_nothing")
-def test_bad_stacks_end_as_what_they_are(room: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_stacks_end_with_their_kind_of_failure(room: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "STACK_GRACE_S", ((signal.SIGINT, 1.0), (signal.SIGTERM, 0.5), (signal.SIGKILL, PATIENCE_S)))
     run, limits = run_in(room), Limits(time=4.0, wall_time=PATIENCE_S, silence=3.0)
 

@@ -74,13 +74,13 @@ def test_views_stand_in_scene_and_state_and_on_tf_with_one_stamp(world: PhysicsW
     assert conversions.scene_from_msg(scene).cameras[-1].link == "view_orbit"
 
 
-def test_a_robot_that_is_not_there_is_refused_with_those_that_are(world: PhysicsWorld) -> None:
+def test_an_unknown_robot_is_refused_with_the_known_ones(world: PhysicsWorld) -> None:
     topics = WorldInterface(_Node(), PhysicsConfig(views="follow:middle"), None)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="there is no body 'middle'; it can follow: left, right"):
         topics.publish_scene(world)
 
 
-def test_a_view_goes_and_comes_with_its_target(world: PhysicsWorld, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_view_is_removed_and_added_with_its_target(world: PhysicsWorld, caplog: pytest.LogCaptureFixture) -> None:
     node = _Node()
     topics = WorldInterface(node, PhysicsConfig(views="top,follow:right"), None)  # type: ignore[arg-type]
     right = world.scene.robots[1]

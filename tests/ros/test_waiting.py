@@ -22,7 +22,7 @@ COMMANDS = {
 }
 
 
-def test_they_say_what_they_wait_for_and_give_up_in_time(ros_domain: int, tmp_path: Path) -> None:
+def test_waiting_commands_report_what_they_wait_for_and_time_out(ros_domain: int, tmp_path: Path) -> None:
     started = {
         name: subprocess.Popen(
             [sys.executable, "-m", "gibson_sim.cli.main", *words, "--timeout", "4"],

@@ -90,7 +90,7 @@ def _bad_messages() -> list[tuple[type, str, Any, Any]]:
     ]  # fmt: skip
 
 
-def test_no_message_ends_it(web: Launched, listener: Listener) -> None:
+def test_no_message_ends_the_page_server(web: Launched, listener: Listener) -> None:
     node = listener.node
     publishers = [(node.create_publisher(kind, topic, profile), message) for kind, topic, message, profile in _bad_messages()]
     listener.spin_until(
@@ -153,7 +153,7 @@ def _is_zero(command: Any) -> bool:
     return bool(getattr(command, "twist", command).linear.x == 0.0)
 
 
-def test_a_robot_that_has_gone_is_forgotten(web: Launched, listener: Listener) -> None:
+def test_a_deleted_robot_is_forgotten(web: Launched, listener: Listener) -> None:
     message = Odometry(child_frame_id="base")
     message.pose.pose.orientation.w = 1.0
     publisher = listener.node.create_publisher(Odometry, "/left/odom", 10)

@@ -35,7 +35,7 @@ def _args(*words: str) -> argparse.Namespace:
         (["open-door", "--scene", "flat"], "no door that a robot has the room to pull open"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_starts(
+def test_impossible_options_are_refused_before_anything_starts(
     words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as end:
@@ -45,7 +45,7 @@ def test_what_cannot_be_is_refused_before_anything_starts(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bag_that_is_there_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_bag_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bag").mkdir()
     with pytest.raises(SystemExit) as end:
         main(["demo", "open-door", "--scene", "arena", "--out", str(tmp_path)])
@@ -67,7 +67,7 @@ def test_the_task_node_and_the_render_node_take_part_in_lockstep_and_both_views_
     assert (view.camera.name, view.camera.width, view.camera.height, view.camera.rate_hz) == (VIEW, 320, 200, 5.0)
 
 
-def test_the_report_says_how_wide_the_door_was_and_whether_the_robot_went_through(
+def test_the_report_states_the_door_width_and_whether_the_robot_went_through(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     args = _args("--out", str(tmp_path))

@@ -38,7 +38,7 @@ def test_a_known_value_keeps_its_digest_over_versions() -> None:
         (b"a", "a"),
     ],
 )
-def test_what_differs_in_one_bit_or_in_its_shape_has_another_digest(a: object, b: object) -> None:
+def test_arrays_that_differ_in_one_bit_or_in_shape_have_different_digests(a: object, b: object) -> None:
     assert digest_of(a) != digest_of(b)
 
 
@@ -48,6 +48,6 @@ def test_the_layout_of_an_array_does_not_matter() -> None:
     assert digest_of(array[:, ::2]) == digest_of(array[:, ::2].copy())
 
 
-def test_what_has_no_digest_is_refused() -> None:
+def test_values_without_a_digest_are_refused() -> None:
     with pytest.raises(TypeError, match="no digest of a object"):
         digest_of(object())

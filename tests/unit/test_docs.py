@@ -54,7 +54,7 @@ def test_every_command_has_the_options_that_exist(page: Path, capsys: pytest.Cap
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_what_python_imports_exists(page: Path) -> None:
+def test_python_imports_in_docs_exist(page: Path) -> None:
     for block in _blocks(page, "python"):
         for node in ast.walk(ast.parse(block)):
             if (
@@ -68,7 +68,7 @@ def test_what_python_imports_exists(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", RUNNABLE)
-def test_python_runs(page: str) -> None:
+def test_python_examples_in_docs_run(page: str) -> None:
     for block in _blocks(ROOT / "docs" / f"{page}.md", "python"):
         exec(compile(block, f"docs/{page}.md", "exec"), {})
 

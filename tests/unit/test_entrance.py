@@ -14,7 +14,7 @@ import gibson_sim as gs
 
 
 @pytest.mark.parametrize("name", gs.__all__)
-def test_every_public_name_is_there_and_explained(name: str) -> None:
+def test_every_public_name_exists_and_is_documented(name: str) -> None:
     value = getattr(gs, name)
     assert name in dir(gs)
     if inspect.isclass(value) or inspect.isroutine(value):
@@ -35,7 +35,7 @@ def test_names_of_the_types_are_those_that_are_loaded() -> None:
         getattr(gs, "Simulaton")  # noqa: B009
 
 
-def test_help_begins_with_a_page_that_shows_the_way() -> None:
+def test_help_begins_with_an_overview() -> None:
     text = pydoc.plain(pydoc.render_doc(gs))
     assert text.index("with gs.Simulation(") < text.index("PACKAGE CONTENTS")
 

@@ -41,7 +41,7 @@ def test_docstrings_of_fields_are_those_of_the_source_with_those_of_bases_first(
     assert Base.__doc__ == "A base.", "of the class that was given alone"
 
 
-def test_what_is_no_dataclass_stays_as_it_is() -> None:
+def test_classes_other_than_dataclasses_are_unchanged() -> None:
     assert with_field_docs(len) is len
     assert with_field_docs(gs.Simulation).__doc__ == gs.Simulation.__doc__
 

@@ -67,7 +67,7 @@ def test_every_parameter_of_every_node_is_an_argument_with_its_meaning_and_limit
     ]  # fmt: skip
 
 
-def test_what_nobody_gave_reaches_no_node() -> None:
+def test_arguments_that_are_not_given_reach_no_node() -> None:
     assert _parameters(plan({})) == {"physics": {}, "render": {}}
     assert _parameters(plan({"seed": "7", "foreign": "x"})) == {"physics": {"seed": 7}, "render": {}}
 
@@ -90,7 +90,7 @@ def test_arguments_win_over_every_section_of_a_file_and_the_rest_of_it_stays(par
     assert render["sim"] == {"render": {"ros__parameters": {"jpeg_quality": 80}}}
 
 
-def test_file_alone_is_looked_through_before_anything_starts(params_file: Path) -> None:
+def test_parameter_file_alone_is_checked_before_anything_starts(params_file: Path) -> None:
     assert _parameters(plan({"params_file": str(params_file)})) == {"physics": {}, "render": {}}
     params_file.write_text("physics:\n  ros__parameters: {lockstep: true, participants: 'render; nav=cmd_vel after odom'}\n")
     assert _parameters(plan({"params_file": str(params_file)}))["physics"] == {}
@@ -184,7 +184,7 @@ def test_page_and_foxglove_are_started_on_request_with_their_settings(launch_fil
         assert callable(getattr(start, program))
 
 
-def test_rviz_gets_a_file_that_exists_and_a_frame_that_is_there(root: Path, tmp_path: Path) -> None:
+def test_rviz_gets_an_existing_file_and_an_existing_frame(root: Path, tmp_path: Path) -> None:
     file = str(root / "config" / "sim.rviz")
     assert plan({}).rviz is None
     assert plan({"rviz": "true"}).rviz == ("-d", file, "-f", "odom")
@@ -224,7 +224,7 @@ def test_page_that_ends_ends_no_simulation_but_a_taken_port_does(launch_file: La
         _ends(started, web, 1, Context())
 
 
-def test_reach_is_that_of_the_nodes_alone_and_is_said(launch_file: LaunchFile) -> None:
+def test_reach_is_set_for_the_nodes_alone_and_is_logged(launch_file: LaunchFile) -> None:
     for given, discovery, said in (
         ((), "SYSTEM_DEFAULT", "processes of this machine alone; `reach:=subnet` lets other machines in"),
         (("reach:=subnet",), "SUBNET", "every machine of this network may see and command it"),

@@ -74,7 +74,7 @@ def test_plain_yaml_is_read_as_pyyaml_reads_it(root: Path) -> None:
         ("x" * (MAX_YAML_BYTES + 1), "must have at most 8 MB"),
     ],
 )
-def test_yaml_that_means_harm_is_refused_in_one_short_line(text: str | bytes, reason: str) -> None:
+def test_malicious_yaml_is_refused_in_one_short_line(text: str | bytes, reason: str) -> None:
     with pytest.raises(TextError, match=re.escape(reason)) as error:
         parse_yaml(text)
     assert len(str(error.value)) < 400
@@ -90,7 +90,7 @@ def test_yaml_bombs_cost_no_time() -> None:
     assert effort(refused) < 10.0
 
 
-def test_message_for_clients_has_nothing_of_the_file() -> None:
+def test_message_for_clients_reveals_nothing_of_the_file() -> None:
     for text in ("a: [\n secret", "secret: 1\nsecret: 2", "x: !secret 1", "x: *secret"):
         with pytest.raises(TextError) as error:
             parse_yaml(text)
@@ -131,7 +131,7 @@ def test_white_space_before_the_xml_declaration_is_allowed_as_in_gazebo_and_ros(
         (b'<?xml version="1.0" encoding="x"?><a/>', "is not well-formed XML"),
     ],
 )
-def test_xml_that_means_harm_is_refused(text: bytes, reason: str) -> None:
+def test_malicious_xml_is_refused(text: bytes, reason: str) -> None:
     with pytest.raises(TextError, match=re.escape(reason)) as error:
         parse_xml(text)
     assert error.value.public
@@ -187,11 +187,11 @@ def test_file_that_has_no_size_beforehand_is_bounded() -> None:
 
 
 @pytest.mark.parametrize("name", ["a\0b", "x" * 300, "x" * 5000, "\ud800", "none"])
-def test_what_can_be_no_path_is_not_there(tmp_path: Path, name: str) -> None:
+def test_invalid_paths_do_not_exist(tmp_path: Path, name: str) -> None:
     assert (exists(tmp_path / name), is_file(tmp_path / name), is_folder(tmp_path / name)) == (False, False, False)
 
 
-def test_folders_and_files_are_told_apart(tmp_path: Path) -> None:
+def test_folders_and_files_are_distinguished(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     os.mkfifo(tmp_path / "pipe")
     assert (is_file(tmp_path / "file"), is_folder(tmp_path / "file"), exists(tmp_path / "file")) == (True, False, True)

@@ -12,14 +12,14 @@ from support import strict
 @pytest.mark.parametrize(
     "reason", ["SKIPPED: no rclpy in this Python", "SKIPPED: EGL cannot be loaded", "could not import 'pybullet'"]
 )
-def test_what_make_setup_brings_may_not_be_missing(reason: str) -> None:
+def test_a_skip_for_a_missing_package_of_make_setup_is_refused(reason: str) -> None:
     assert strict.refused_skip(reason)
 
 
 @pytest.mark.parametrize(
     "reason", ["SKIPPED: no GPU here", "SKIPPED: Open3D is not here (no module)", "SKIPPED: no real worlds at /x"]
 )
-def test_what_a_machine_may_lack_is_skipped(reason: str) -> None:
+def test_a_skip_for_a_missing_optional_resource_is_allowed(reason: str) -> None:
     assert not strict.refused_skip(reason)
 
 

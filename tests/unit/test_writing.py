@@ -30,7 +30,7 @@ def largest_file(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_what_does_not_fit_leaves_what_was_there(tmp_path: Path) -> None:
+def test_failed_write_keeps_the_existing_file(tmp_path: Path) -> None:
     file = tmp_path / "a.json"
     write_file(file, "old")
     with largest_file(100), pytest.raises(WriteError, match=r"cannot write .*a\.json: File too large \(needs 1\.0 KB or more\)"):
@@ -47,18 +47,18 @@ def test_picture_that_does_not_fit_leaves_nothing(tmp_path: Path, name: str) -> 
     assert os.listdir(tmp_path) == []
 
 
-def test_full_disk_says_what_is_needed_and_what_is_free(tmp_path: Path) -> None:
+def test_full_disk_error_states_required_and_free_space(tmp_path: Path) -> None:
     said = str(cannot_write(tmp_path / "a", OSError(errno.ENOSPC, "No space left on device"), 12_300_000))
     assert "No space left on device (needs 12.3 MB or more, free " in said
     assert said.endswith("; free disk space, or choose another folder")
 
 
 @pytest.mark.parametrize(("size", "said"), [(0, "0 bytes"), (999, "999 bytes"), (1000, "1.0 KB"), (2_500_000_000, "2.5 GB")])
-def test_sizes_are_said_in_their_unit(size: int, said: str) -> None:
+def test_sizes_are_formatted_in_a_suitable_unit(size: int, said: str) -> None:
     assert size_text(size) == said
 
 
-def test_block_that_fails_leaves_nothing(tmp_path: Path) -> None:
+def test_failed_block_leaves_nothing(tmp_path: Path) -> None:
     def fail() -> None:
         with replacing(tmp_path / "new/a.txt") as draft:
             draft.write_text("half")
@@ -69,7 +69,7 @@ def test_block_that_fails_leaves_nothing(tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "new") == []
 
 
-def test_link_stays_and_permissions_do(tmp_path: Path) -> None:
+def test_symbolic_link_and_permissions_are_kept(tmp_path: Path) -> None:
     (tmp_path / "real.txt").write_text("old")
     (tmp_path / "real.txt").chmod(0o640)
     (tmp_path / "link.txt").symlink_to("real.txt")
@@ -83,7 +83,7 @@ def test_link_stays_and_permissions_do(tmp_path: Path) -> None:
     ("name", "said"),
     [("", "Is a directory"), ("file/a", "Not a directory"), ("a\0b", "null byte"), ("x" * 300, "File name too long")],
 )
-def test_place_that_takes_no_file_is_said(tmp_path: Path, name: str, said: str) -> None:
+def test_unwritable_destination_is_named(tmp_path: Path, name: str, said: str) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match=said):
         write_file(tmp_path / name, "x")
@@ -95,7 +95,7 @@ def test_picture_of_no_format_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="SKIPPED: no /dev/full here")
-def test_device_is_written_into(tmp_path: Path) -> None:
+def test_device_file_is_written_in_place(tmp_path: Path) -> None:
     write_file("/dev/null", "x")
     assert not Path("/dev/null").is_file()
     with pytest.raises(WriteError, match="cannot write /dev/full: No space left on device"):
@@ -104,7 +104,7 @@ def test_device_is_written_into(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="SKIPPED: no /dev/full here")
 @pytest.mark.parametrize("words", [("params", "physics"), ("params", "drive")])
-def test_output_that_cannot_be_printed_is_said_in_one_line(words: tuple[str, ...]) -> None:
+def test_output_that_cannot_be_printed_is_reported_in_one_line(words: tuple[str, ...]) -> None:
     with open("/dev/full", "w") as full:
         command = [sys.executable, "-m", "gibson_sim.cli.main", *words]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
@@ -112,7 +112,7 @@ def test_output_that_cannot_be_printed_is_said_in_one_line(words: tuple[str, ...
     assert done.stderr.startswith("gibson-sim: error: cannot write the output: No space left on device")
 
 
-def test_a_check_of_a_file_writes_nothing_and_leaves_what_is_there(tmp_path: Path) -> None:
+def test_a_check_of_a_file_writes_nothing_and_keeps_the_existing_one(tmp_path: Path) -> None:
     file = tmp_path / "new" / "a.json"
     check_writable(file)
     assert os.listdir(file.parent) == []

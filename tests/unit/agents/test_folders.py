@@ -49,7 +49,7 @@ def test_paths_that_lead_out_are_refused(folder: Path, path: str) -> None:
 
 
 @pytest.mark.parametrize("path", ["a\0b", "loop", "x" * 5000])
-def test_what_is_no_path_is_one_line(folder: Path, path: str) -> None:
+def test_an_invalid_path_is_refused_in_one_line(folder: Path, path: str) -> None:
     with pytest.raises(ConfigError) as caught:
         Folders([folder]).name_or_file(path, [], "robot")
     assert str(caught.value).isprintable()

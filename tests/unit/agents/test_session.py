@@ -1,4 +1,4 @@
-"""What an agent hears of its simulation's end, without a simulation."""
+"""How an agent learns of its simulation's end, without a simulation."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def session(monkeypatch: pytest.MonkeyPatch) -> AgentSession:
     return session
 
 
-def test_the_call_after_the_end_says_so_with_the_end_of_the_log(session: AgentSession) -> None:
+def test_the_call_after_the_end_reports_it_with_the_tail_of_the_log(session: AgentSession) -> None:
     dying = session._simulation
     with pytest.raises(GibsonSimError) as caught:
         session.call("step", {"seconds": 1.0})

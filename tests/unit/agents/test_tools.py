@@ -45,7 +45,7 @@ def test_arguments_are_read_with_their_defaults() -> None:
         ("drvie", {}, "tool 'drvie' is unknown; did you mean 'drive'?; known: start_simulation, "),
     ],
 )
-def test_what_is_not_allowed_is_one_line(name: str, given: dict[str, Any], error: str) -> None:
+def test_an_invalid_call_is_refused_in_one_line(name: str, given: dict[str, Any], error: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_call(name, given)
     assert error in str(caught.value)

@@ -35,7 +35,7 @@ def test_record_that_is_longer_than_any_memory_is_refused(tmp_path: Path) -> Non
     _refused(tmp_path)
 
 
-def test_metadata_that_is_no_yaml_is_refused_in_one_line(write_drive: Callable[..., Path]) -> None:
+def test_metadata_with_invalid_yaml_is_refused_in_one_line(write_drive: Callable[..., Path]) -> None:
     bag = write_drive()
     (bag / "metadata.yaml").write_text("a: [\n" + "x" * 5000)
     _refused(bag)
@@ -58,7 +58,7 @@ def test_messages_that_are_only_in_the_index_are_named(write_drive: Callable[...
     assert any("/camera/image_raw: the index of the bag lists messages" in problem for problem in check_bag(bag).problems)
 
 
-def test_summary_that_is_damaged_is_written_anew(write_drive: Callable[..., Path]) -> None:
+def test_damaged_summary_is_rewritten(write_drive: Callable[..., Path]) -> None:
     bag = write_drive()
     (path,) = bag.glob("*.mcap")
     data = bytearray(path.read_bytes())
@@ -69,7 +69,7 @@ def test_summary_that_is_damaged_is_written_anew(write_drive: Callable[..., Path
     check_bag(bag)
 
 
-def test_row_that_is_no_message_is_refused(messages: Any, tmp_path: Path) -> None:
+def test_row_without_binary_data_is_refused(messages: Any, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", storage="sqlite3", reserve_bytes=0) as bag:
         bag.add_topic("/odom", "nav_msgs/msg/Odometry")
         bag.write("/odom", messages.odometry(1, 0.0, 0.0), 1, 1)

@@ -270,7 +270,7 @@ def test_kept_files_are_never_overwritten(bag: Path) -> None:
     assert (bag / "bag_0.mcap.damaged.2").read_bytes() == second
 
 
-def test_index_that_leads_elsewhere_is_written_anew(bag: Path) -> None:
+def test_index_with_wrong_offsets_is_rewritten(bag: Path) -> None:
     """The flipped bit is in the offset of a chunk in the summary: readers that use the index lose the chunk."""
     file = bag / "bag_0.mcap"
     with file.open("rb") as stream:

@@ -43,7 +43,9 @@ def test_a_tolerance_of_everything_is_refused() -> None:
         (["tasks", "--observations", "smell"], "observations are ['smell']"),
     ],
 )
-def test_what_cannot_be_measured_is_said_in_one_line(words: list[str], error: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_impossible_measurement_is_refused_in_one_line(
+    words: list[str], error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as end:
         main(["bench", *words])
     assert end.value.code == 1

@@ -36,7 +36,7 @@ def _write(folder: Path, **reports: object) -> None:
         (folder / f"{name}.json").write_text(json.dumps(report))
 
 
-def test_what_got_slower_is_flagged_whether_more_is_better_or_less() -> None:
+def test_slower_figures_are_flagged_whether_more_or_less_is_better() -> None:
     old = {"figures": [_figure("a", 100.0), _figure("b", 10.0, "less"), _figure("c", 5.0), _figure("gone", 1.0)]}
     new = {"figures": [_figure("a", 50.0), _figure("b", 20.0, "less"), _figure("c", 5.2), _figure("new", 1.0)]}
     assert [(c.name, c.gain, c.verdict(0.15)) for c in changes(old, new)] == [
@@ -52,7 +52,7 @@ def _figure(name: str, value: float, better: str = "more") -> dict[str, object]:
     return {"name": name, "value": value, "unit": "1/s", "better": better}
 
 
-def test_two_machines_are_said_to_be_two() -> None:
+def test_comparison_names_different_machines() -> None:
     other = replace(TABLE, facts=replace(FACTS, machine="another"))
     assert "different machines" in compare_text(TABLE.as_json(), other.as_json())
 
@@ -74,7 +74,7 @@ def test_a_file_without_figures_is_refused(tmp_path: Path, capsys: pytest.Captur
     assert "holds no figures" in capsys.readouterr().err
 
 
-def test_what_grows_or_drifts_is_a_problem() -> None:
+def test_growth_and_drift_are_problems() -> None:
     assert _soak().problems == ["environment MB: +60.0", "images received /s: -33 %"]
 
 
@@ -104,7 +104,7 @@ def test_the_page_has_every_report_with_its_plots_and_keeps_what_people_wrote(tm
     assert "other.json: has no figures, left out" in messages
 
 
-def test_the_page_of_a_summary_says_what_bounds_and_what_is_not_reached(tmp_path: Path) -> None:
+def test_the_page_of_a_summary_names_bottlenecks_and_missed_targets(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="SKIPPED: plots need matplotlib (the extra `analysis`)")
     _write(tmp_path / "data", table1_cpu=TABLE.as_json())
     write_page(tmp_path / "data", tmp_path / "b.md", tmp_path)

@@ -68,7 +68,7 @@ def test_fewer_images_than_rounds_are_fewer_rounds() -> None:
     assert list(rounds([[0.0], [1.0]])) == [[[1.0]], [[0.0]], [[1.0]]]
 
 
-def test_the_text_names_machine_driver_date_and_who_was_left_out() -> None:
+def test_the_text_names_machine_driver_date_and_omitted_peers() -> None:
     text = report_text(REPORT, show_growth=True)
     parts = ("2 x CPU", "llvmpipe", "2026-01-02", "abc", "load 0.25", "Left out: MuJoCo: ModuleNotFoundError")
     assert [part for part in parts if part not in text] == []
@@ -129,7 +129,7 @@ def test_the_command_line_alone_is_the_plan_alone() -> None:
     assert _plan() == RenderPlan()
 
 
-def test_what_the_command_line_says_is_planned() -> None:
+def test_the_plan_follows_the_command_line() -> None:
     plan = _plan("--scenes", "rooms:100k,flat", "--sizes", "64x48", "--outputs", "rgb", "rgb,flow", "--frames", "6", "--detail-px",
                  "0.5,0", "--device", "1")  # fmt: skip
     assert (plan.scenes, plan.sizes, plan.outputs) == (("rooms:100k", "flat"), ((64, 48),), (("rgb",), ("rgb", "flow")))
@@ -147,12 +147,12 @@ def test_peers_are_measured_on_scan_like_meshes_at_the_image_sizes_of_the_paper(
 @pytest.mark.parametrize(
     "words", [("--sizes", "64"), ("--outputs", "colour"), ("--frames", "0"), ("--detail-px", "-1"), ("--detail-px", "x")]
 )
-def test_what_cannot_be_planned_is_refused(words: tuple[str, str]) -> None:
+def test_an_impossible_plan_is_refused(words: tuple[str, str]) -> None:
     with pytest.raises(ConfigError, match=words[0]):
         _plan(*words)
 
 
-def test_a_worker_that_cannot_start_its_renderer_says_so_in_one_line() -> None:
+def test_a_worker_that_cannot_start_its_renderer_fails_in_one_line() -> None:
     with Worker("gibson_sim_bench.peers") as worker, pytest.raises(WorkerError, match="KeyError: 'none'"):
         worker.request("open", renderer="none")
 
@@ -162,7 +162,7 @@ def test_a_worker_whose_process_is_gone_is_an_error() -> None:
         worker.request("open", renderer="none")
 
 
-def test_an_interpreter_that_is_not_there_is_an_error_of_the_worker() -> None:
+def test_a_missing_interpreter_is_an_error_of_the_worker() -> None:
     with pytest.raises(WorkerError, match="no_such_python cannot be run"):
         Worker("gibson_sim_bench.peers", "/no_such_python")
 

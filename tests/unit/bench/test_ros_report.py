@@ -57,7 +57,7 @@ def test_spread_is_median_p95_and_p99() -> None:
     assert spread([float(i) for i in range(101)]) == Spread(50.0, 95.0, 99.0)
 
 
-def test_nothing_measured_is_no_number() -> None:
+def test_an_empty_measurement_has_no_number() -> None:
     assert all(math.isnan(value) for value in (spread([]).median, spread([]).p95, spread([]).p99))
 
 
@@ -75,7 +75,7 @@ def test_the_best_row_counts_and_a_lost_image_misses_the_target() -> None:
     assert not targets(replace(REPORT, transports=REPORT.transports[1:]))[1].met
 
 
-def test_what_was_not_measured_has_no_target() -> None:
+def test_unmeasured_parts_have_no_target() -> None:
     assert targets(replace(REPORT, round_trips=(), transports=(), clocks=())) == []
 
 
@@ -130,7 +130,7 @@ def test_unknown_part_is_refused() -> None:
         _plan("--only", "speed")
 
 
-def test_robot_of_the_bench_has_one_camera_of_the_wanted_size(tmp_path: Path) -> None:
+def test_robot_of_the_bench_has_one_camera_of_the_requested_size(tmp_path: Path) -> None:
     path = write_changed_robot(tmp_path, (1280, 720))
     assert len(yaml.safe_load(path.read_text())["cameras"]) == 1
     cameras = load_robot(path).cameras

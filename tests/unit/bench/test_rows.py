@@ -89,7 +89,7 @@ def test_lockstep_counts_from_tick_to_tick_and_is_bound_by_messages_too() -> Non
     assert row.bounds[BULLET] == 1.0
 
 
-def test_a_subscriber_receives_what_came_not_what_was_made() -> None:
+def test_a_subscriber_counts_received_images_not_rendered_ones() -> None:
     # 3 sets in the last 100 ms, in a burst; 10 ticks were made.
     row = free_row([0, 1 * MS, 100 * MS], 10, RGBD, MESSAGE_MS)
     assert (row.fps, row.lost) == (20.0, 0.7)
@@ -114,7 +114,7 @@ def test_the_paper_stands_beside_its_own_rows_alone() -> None:
     assert paper_of(replace(scene, mode="RGB-D"))["v2"] is None
 
 
-def test_a_report_comes_back_from_its_json() -> None:
+def test_a_report_survives_json() -> None:
     read = json.loads(json.dumps(REPORT.as_json(), allow_nan=False))
     back = table_of(read)
     assert [row.key for row in back.rows] == [row.key for row in REPORT.rows]

@@ -52,7 +52,7 @@ def test_the_version_in_a_checkout_names_its_commit(root: Path) -> None:
         assert f"({commit.stdout.strip()}" in timing.version()
 
 
-def test_process_cpu_s_of_this_process_is_what_it_used() -> None:
+def test_process_cpu_s_is_the_cpu_time_of_this_process() -> None:
     before = time.process_time()
     found = timing.process_cpu_s(os.getpid())
     # The kernel counts in ticks of 10 ms, and threads of other tests may end meanwhile.

@@ -52,7 +52,7 @@ def test_files_are_completed_where_a_scene_may_be_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["gibson-sim topic echo ", "gibson-sim param get /physics "])
-def test_nothing_is_printed_where_nothing_can_be_found_out(line: str, tmp_path: Path) -> None:
+def test_malformed_environment_prints_no_completions(line: str, tmp_path: Path) -> None:
     assert completions(line, tmp_path, ROS_DOMAIN_ID="no number") == (set(), "")
     assert completions(line, tmp_path, COMP_POINT="no number") == (set(), "")
 

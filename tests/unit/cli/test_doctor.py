@@ -62,7 +62,7 @@ def test_every_device_is_tested_on_its_own(answers: Answers) -> None:
     assert "--egl-device" in found[1].remedy
 
 
-def test_a_device_that_cannot_be_opened_is_a_warning_and_is_not_drawn_with(answers: Answers) -> None:
+def test_a_device_that_cannot_be_opened_is_a_warning_and_not_used(answers: Answers) -> None:
     answers({"list_devices": devices(device(0, usable=False, problem="no right to open it")), "self_test": (True, "drawn")})
     found = list(doctor._graphics())
     assert [(f.what, f.status) for f in found] == [("EGL", "FAIL"), ("EGL device 0", "warn")]
@@ -118,7 +118,7 @@ def test_interfaces_whose_packets_reach_the_loopback_are_named(tmp_path: Path) -
     assert doctor._routed_localnet(tmp_path / "nothing") == ""
 
 
-def test_an_occupied_domain_can_be_exchanged_as_the_message_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_occupied_domain_can_be_changed_as_the_message_says(monkeypatch: pytest.MonkeyPatch) -> None:
     parser = argparse.ArgumentParser()
     doctor.add_parser(parser.add_subparsers())
     assert parser.parse_args(["doctor"]).domain_id is None

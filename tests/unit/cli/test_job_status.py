@@ -57,7 +57,7 @@ def test_ready_lines_name_the_page_that_is_served_and_what_drives(folder: Path) 
     ]
 
 
-def test_ready_lines_of_an_arm_without_a_drive_tell_no_way_to_drive(tmp_path: Path) -> None:
+def test_ready_lines_of_an_arm_without_a_drive_mention_no_driving(tmp_path: Path) -> None:
     _note(tmp_path, LOADED, {"scene": "flat", "robots": [{"name": "arm", "model": "panda", "drives": False}], "cameras": []})
     lines = JobStatus(tmp_path, ["physics", "render"]).ready_lines(Hints(0))
     assert [line.partition(":")[0] for line in lines] == ["ready", "cameras", "look", "stop"]

@@ -1,4 +1,4 @@
-"""``topic pub``, which there is not."""
+"""``topic pub`` does not exist: the error names the alternative."""
 
 from __future__ import annotations
 

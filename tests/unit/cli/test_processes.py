@@ -181,6 +181,6 @@ def test_the_library_path_of_another_environment_with_ros_from_pip_is_left() -> 
 
 
 @pytest.mark.parametrize("domain", [-3, 232, 9999])
-def test_a_domain_that_dds_has_not_is_refused_before_anything_starts(domain: int) -> None:
+def test_a_domain_outside_the_range_of_dds_is_refused_before_anything_starts(domain: int) -> None:
     with pytest.raises(EnvironmentProblemError, match=f"'{domain}', must be a whole number from 0 to 231"):
         environment_of(argparse.Namespace(domain_id=domain, reach=None))

@@ -134,7 +134,7 @@ def test_a_broken_robot_file_is_refused_by_the_launcher(tmp_path: Path, capsys: 
     assert "key 'urdff' is unknown; did you mean 'urdf'?" in capsys.readouterr().err
 
 
-def test_the_names_of_options_are_those_that_exist() -> None:
+def test_listed_names_of_tasks_baselines_and_drives_exist() -> None:
     assert tuple(TASKS) == TASK_NAMES
     known = {baseline for task in TASKS.values() for baseline in task.baselines}
     assert set(TaskConfig.__dataclass_fields__["baseline"].metadata["choices"]) == known
@@ -142,7 +142,7 @@ def test_the_names_of_options_are_those_that_exist() -> None:
         assert scripted_drive(name).duration > 0.0
 
 
-def test_drake_directives_with_tags_of_their_own_are_no_mistake(tmp_path: Path) -> None:
+def test_drake_directives_with_custom_tags_are_accepted(tmp_path: Path) -> None:
     directives = tmp_path / "room.dmd.yaml"
     directives.write_text("directives:\n- add_weld: {parent: world, child: a, X_PC: {rotation: !Rpy {deg: [0, 0, 90]}}}\n")
     check_names(PhysicsConfig(scene=str(tmp_path)))

@@ -164,7 +164,7 @@ def test_two_trials_are_compared_without_a_scenario(tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.parametrize(("worse", "code"), [(5, ExitCode.OK), (6, ExitCode.ERROR)])
-def test_a_decline_beyond_chance_ends_with_1_where_that_is_wanted(tmp_path: Path, worse: int, code: ExitCode) -> None:
+def test_a_significant_decline_ends_with_1_on_request(tmp_path: Path, worse: int, code: ExitCode) -> None:
     assert run("--compare", *two_trials(tmp_path, worse), "--fail-if-worse") == code
 
 

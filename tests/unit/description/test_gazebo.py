@@ -1,4 +1,4 @@
-"""What descriptions tell Gazebo, as the makers of robots write it."""
+"""Gazebo elements in robot descriptions, as manufacturers write them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_cameras_and_what_is_not_simulated() -> None:
     assert read(CAMERA.format(kind="camera").replace('"eye"', '"not_there"')).sensors == ()
 
 
-def test_what_is_malformed_is_skipped() -> None:
+def test_malformed_elements_are_skipped() -> None:
     text = (
         RAYS.format(kind="ray", tag="ray", rings="")
         .replace("666.5", "many")
@@ -51,7 +51,7 @@ def test_what_is_malformed_is_skipped() -> None:
     assert read('<gazebo reference="base"><mu1>much</mu1></gazebo>').frictions == {}
 
 
-def test_a_prefix_that_is_missing_here_is_found() -> None:
+def test_references_without_the_link_prefix_are_resolved() -> None:
     assert read('<gazebo reference="wheel"><mu1>0.2</mu1><mu2>9</mu2></gazebo>').frictions == {"a/wheel": 0.2}
 
 

@@ -27,12 +27,12 @@ def follow(name: str, multiplier: float | None = None, offset: float | None = No
     return f'<mimic joint="{name}"{more}{"" if offset is None else f""" offset="{offset}" """}/>'
 
 
-def test_a_mimic_has_multiplier_one_and_no_offset_unless_it_says_so() -> None:
+def test_a_mimic_has_multiplier_1_and_offset_0_by_default() -> None:
     assert model("", follow("j0")).joint("j1").mimic == Mimic("j0", 1.0, 0.0)
     assert model("", follow("j0", -2.0, 0.5)).joint("j1").mimic == Mimic("j0", -2.0, 0.5)
 
 
-def test_a_follower_of_a_follower_follows_the_one_who_leads() -> None:
+def test_a_follower_of_a_follower_follows_the_leader() -> None:
     # j2 = 3 j1 + 0.1 = 3 (2 j0 + 0.5) + 0.1
     found = model("", follow("j0", 2.0, 0.5), follow("j1", 3.0, 0.1)).joint("j2").mimic
     assert found is not None

@@ -1,4 +1,4 @@
-"""Links whose meshes are missing: what is left is drawn."""
+"""Links whose meshes are missing: their remaining shapes are drawn."""
 
 from __future__ import annotations
 

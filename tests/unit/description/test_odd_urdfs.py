@@ -28,7 +28,7 @@ def inertial(mass: float, ixx: float, iyy: float, izz: float) -> str:
     return f'<link name="a"><inertial>{inside}</inertial></link>'
 
 
-def test_two_hundred_joints_that_move_are_refused_and_so_many_fixed_ones_are_not() -> None:
+def test_two_hundred_moving_joints_are_refused_and_two_hundred_fixed_ones_are_not() -> None:
     with pytest.raises(RobotError, match=r"has 200 moving joints.* at most 121 moving"):
         rigid_groups(parse(chain(200)))
     assert len(rigid_groups(parse(chain(MAX_MOVING_JOINTS)))[0]) == MAX_MOVING_JOINTS + 1
@@ -44,7 +44,7 @@ def test_two_hundred_joints_that_move_are_refused_and_so_many_fixed_ones_are_not
         (inertial(2.0, 1.0, 1.0, 9.0), "link 'a' has an invalid inertia (principal moments 1, 1, 9 kg m^2: {}"),
     ],
 )
-def test_a_mass_or_inertia_that_no_body_has_is_replaced_with_a_warning(link: str, words: str) -> None:
+def test_an_impossible_mass_or_inertia_is_replaced_with_a_warning(link: str, words: str) -> None:
     (group,), warnings = rigid_groups(parse(link))
     rule = "each must be above 0 and below the sum of the others); that of a small sphere is used"
     assert warnings == (f"r.urdf: {words.format(rule)}",)

@@ -182,7 +182,7 @@ def test_elements_of_xacro_are_refused_whatever_their_namespace(tmp_path: Path, 
         read_urdf(tmp_path / "r.urdf")
 
 
-def test_what_xacro_left_in_a_comment_is_harmless(tmp_path: Path) -> None:
+def test_xacro_remains_in_a_comment_are_ignored(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text("<?x <xacro:a?><robot name='r'><!-- <xacro:include/> --><link name='a'/></robot>")
     assert read_urdf(tmp_path / "r.urdf").root == "a"
 

@@ -51,7 +51,7 @@ def needs_xacro() -> None:
         pytest.skip(message)
 
 
-def test_a_plain_urdf_is_used_as_it_lies(root: Path) -> None:
+def test_a_plain_urdf_is_used_unchanged(root: Path) -> None:
     path = root / "config/robots/gibson_bot/gibson_bot.urdf"
     assert plain_description(path, {}) == path
 
@@ -75,7 +75,7 @@ def test_a_xacro_is_expanded_with_its_arguments_and_packages(package: Path) -> N
 
 
 @pytest.mark.usefixtures("needs_xacro")
-def test_what_xacro_refuses_is_said_in_one_line(package: Path) -> None:
+def test_xacro_errors_are_one_line(package: Path) -> None:
     path = package / "urdf/r.urdf.xacro"
     path.write_text(XACRO.replace("2 * 0.3", "nothing"))
     with pytest.raises(RobotError, match="xacro rejects it: name 'nothing' is not defined") as error:
@@ -85,7 +85,7 @@ def test_what_xacro_refuses_is_said_in_one_line(package: Path) -> None:
 
 @pytest.mark.usefixtures("needs_xacro")
 @pytest.mark.parametrize("value", ["${9**9**9}", "${'x' * 10**10}"])
-def test_xacro_that_never_ends_or_wants_all_memory_is_refused(
+def test_xacro_beyond_its_limits_of_time_and_memory_is_refused(
     tmp_path: Path, value: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(xacro, "_MODULE", "xacro_in_a_hurry")
@@ -115,7 +115,7 @@ def test_optional_variables_without_an_end_cost_no_time(tmp_path: Path, text: st
     assert found == [path]
 
 
-def test_what_only_looks_like_a_xacro_is_none_and_costs_no_time() -> None:
+def test_text_that_resembles_xacro_is_not_expanded_and_costs_no_time() -> None:
     comments = "<!--" * 200_000
     texts = (
         f'<!DOCTYPE robot SYSTEM "{comments}"><robot><!-- <xacro:a/> --></robot>',
@@ -129,7 +129,7 @@ def test_what_only_looks_like_a_xacro_is_none_and_costs_no_time() -> None:
     assert found == [False, False, True, True]
 
 
-def test_arguments_of_what_is_no_xacro_are_refused(tmp_path: Path) -> None:
+def test_arguments_of_a_plain_urdf_are_refused(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text('<robot name="r"><link name="a"/></robot>')
     (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nradius: 1\nheight: 1\nxacro_args: {a: 1}\n")
     with pytest.raises(RobotError, match="xacro_args are given, but this is not a xacro"):
@@ -161,7 +161,7 @@ def test_a_description_may_lie_in_an_installed_python_package(tmp_path: Path, mo
     assert load_robot(far).urdf == folder / "r.urdf"
 
 
-def test_a_published_description_names_meshes_that_others_find(root: Path, tmp_path: Path) -> None:
+def test_a_published_description_has_mesh_uris_that_other_nodes_resolve(root: Path, tmp_path: Path) -> None:
     path = root / "config/robots/arm_bot/arm_bot.urdf"
     text = published_description(path)
     assert (root / "config/robots/arm_bot/meshes/finger.glb").as_uri() in text
@@ -249,7 +249,7 @@ def test_packages_are_found_beside_by_the_name_in_their_manifest(tmp_path: Path)
 
 
 @pytest.mark.usefixtures("needs_xacro")
-def test_a_package_that_is_nowhere_is_named_with_the_folders_and_the_remedy(tmp_path: Path) -> None:
+def test_a_missing_package_is_named_with_the_folders_and_the_remedy(tmp_path: Path) -> None:
     include = '<xacro:include filename="$(find gone_description)/urdf/arm.xacro"/>'
     # Warnings of xacro precede its error.
     redefined = '<xacro:property name="pi" value="3"/><xacro:property name="a" value="1"/>'
@@ -263,7 +263,7 @@ def test_a_package_that_is_nowhere_is_named_with_the_folders_and_the_remedy(tmp_
 
 
 @pytest.mark.usefixtures("needs_xacro")
-def test_what_a_robot_does_not_need_may_be_missing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_packages_that_a_robot_does_not_need_may_be_missing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Accessories that are not mounted, plugins of another simulator, a file of another version of a package."""
     include = '<xacro:include filename="$(find {0}_is_gone)/urdf/{0}.xacro"/>'.format
     lidar = '<xacro:if value="false"><xacro:some_lidar/></xacro:if>'
@@ -306,7 +306,9 @@ def test_runs_at_the_same_time_share_the_cache(package: Path) -> None:
          "expands to an SDF model, which is spawned as a body"),
     ],
 )  # fmt: skip
-def test_what_expands_to_no_robot_is_refused_under_its_own_name(needs_xacro: None, tmp_path: Path, text: str, said: str) -> None:
+def test_expansion_to_something_other_than_a_robot_is_refused_with_the_xacro_file(
+    needs_xacro: None, tmp_path: Path, text: str, said: str
+) -> None:
     file = tmp_path / "part.urdf.xacro"
     file.write_text(text)
     with pytest.raises(RobotError) as caught:

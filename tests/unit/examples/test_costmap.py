@@ -1,4 +1,4 @@
-"""Where the robot may drive."""
+"""The costmap: cells where the robot may drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The example stands for software that knows nothing of the simulator."""
+"""The example does not depend on the simulator."""
 
 from __future__ import annotations
 

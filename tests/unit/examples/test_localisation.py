@@ -1,4 +1,4 @@
-"""Where the robot is."""
+"""Localisation with a particle filter."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_standing_still_uses_no_scans() -> None:
     assert [localiser.update(ORIGIN, hits) for _ in range(3)] == [True, False, False]
 
 
-def test_before_the_first_pose_nothing_is_known() -> None:
+def test_pose_is_unknown_before_the_first_pose() -> None:
     localiser = Localiser(room())
     assert not localiser.update(ORIGIN, np.ones((3, 2)))
     assert localiser.map_from_odom is None

@@ -147,7 +147,7 @@ def test_transform_answers_for_a_localiser_without_amcl_pose(node: Node) -> None
     assert node.now_s == pytest.approx(102.1, abs=0.11)
 
 
-def test_error_says_what_was_waited_for(node: Node) -> None:
+def test_timeout_error_names_the_awaited_message(node: Node) -> None:
     with pytest.raises(NavigationError, match=r"^no ground_truth/odom within 10 s \(--timeout\): start gibson-sim run$"):
         node.set_initial_pose()
     node.odometry()

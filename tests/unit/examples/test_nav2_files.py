@@ -77,7 +77,7 @@ def test_robot_stops_before_what_the_controller_looks_at(nav2: dict[str, Any], r
     assert stopping_s / 2 + 1.0 / nav2["controller_server"]["controller_frequency"] < looks_ahead_s
 
 
-def test_cost_regulation_reads_the_costmap_that_there_is(nav2: dict[str, Any]) -> None:
+def test_cost_regulation_reads_an_existing_costmap(nav2: dict[str, Any]) -> None:
     """The controller turns costs back to distances: with another factor than the costmap's they would be wrong."""
     follow = nav2["controller_server"]["FollowPath"]
     inflation = nav2["local_costmap"]["inflation_layer"]
@@ -154,7 +154,7 @@ def test_goals_are_the_named_poses_with_the_tag_in_turn() -> None:
         goals_of(poses, "attic", "floor_0", 3)
 
 
-def test_what_is_not_installed_is_said_in_one_line() -> None:
+def test_missing_packages_are_reported_in_one_line() -> None:
     require("rclpy")
     from gibson_examples.errors import NavigationError
     from gibson_examples.named_goals import interface

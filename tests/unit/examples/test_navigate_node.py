@@ -211,7 +211,7 @@ def test_a_drive_after_a_reset_repeats_the_first_one(context: Any) -> None:
     fed.node.destroy_node()
 
 
-def test_what_waited_for_the_map_is_answered_when_it_comes(context: Any) -> None:
+def test_requests_that_wait_for_the_map_are_answered_when_it_arrives(context: Any) -> None:
     fed = Fed(context, initial_pose="2,2,0", goal="4,2,0")
     fed.tf(50, HERE)
     fed.scan(50, HERE)
@@ -221,7 +221,7 @@ def test_what_waited_for_the_map_is_answered_when_it_comes(context: Any) -> None
     fed.node.destroy_node()
 
 
-def test_jump_back_in_time_localises_anew(fed: Fed) -> None:
+def test_jump_back_in_time_restarts_localisation(fed: Fed) -> None:
     fed.tf(5000, Pose2D(1.0, 0.0, 0.0))
     fed.scan(5000, Pose2D(1.0, 0.0, 0.0))
     fed.tf(0, HERE)

@@ -1,4 +1,4 @@
-"""From a goal to velocities, in closed loop with a robot that does what it is told."""
+"""From a goal to velocities, in closed loop with a robot that follows its commands exactly."""
 
 from __future__ import annotations
 

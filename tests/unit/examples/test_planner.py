@@ -1,4 +1,4 @@
-"""Ways on a costmap."""
+"""Paths on a costmap."""
 
 from __future__ import annotations
 

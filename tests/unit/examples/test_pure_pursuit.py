@@ -36,7 +36,7 @@ def drive(path: F64, pose: Pose2D, seconds: float) -> list[Pose2D]:
     return poses
 
 
-def test_on_a_straight_line_it_drives_straight_at_full_speed() -> None:
+def test_robot_on_a_straight_line_drives_straight_at_full_speed() -> None:
     command = settled(PurePursuit(line((0, 0), (5, 0))), Pose2D(0.0, 0.0, 0.0))
     assert command == Velocity(pytest.approx(0.45), pytest.approx(0.0, abs=1e-9))
 
@@ -47,7 +47,7 @@ def test_speed_rises_no_faster_than_the_acceleration() -> None:
     assert speeds == pytest.approx([0.06, 0.12, 0.18])
 
 
-def test_left_of_the_line_it_turns_right() -> None:
+def test_robot_left_of_the_line_turns_right() -> None:
     follower = PurePursuit(line((0, 0), (5, 0)), speed=0.3)
     assert follower.command(Pose2D(0.0, 0.1, 0.0), FAR, dt=0.05).angular < 0.0
 
@@ -70,13 +70,13 @@ def test_turn_goes_on_until_the_heading_is_right() -> None:
     assert follower.command(Pose2D(0.0, 0.0, math.radians(9.0)), FAR, 0.1).linear > 0.0
 
 
-def test_near_an_obstacle_it_is_slower() -> None:
+def test_robot_is_slower_near_an_obstacle() -> None:
     # Half of 0.3 m from the rim: half way between 35 % and all of the speed.
     command = settled(PurePursuit(line((0, 0), (5, 0))), Pose2D(0.0, 0.0, 0.0), clearance=0.15)
     assert command.linear == pytest.approx(0.45 * 0.675)
 
 
-def test_it_brakes_for_the_end() -> None:
+def test_robot_brakes_for_the_end_of_the_path() -> None:
     path = line((0, 0), (1, 0))
     near = PurePursuit(path, speed=0.45).command(Pose2D(0.84, 0.0, 0.0), FAR, 0.1)
     assert near.linear == pytest.approx(0.16 / 0.8)

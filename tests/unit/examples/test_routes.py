@@ -43,7 +43,7 @@ def test_doorway_must_have_walls_at_its_ends_and_nothing_between() -> None:
 
 
 @pytest.mark.parametrize("name", COURSES)
-def test_course_has_ten_goals_of_which_neighbours_are_far_apart(name: str) -> None:
+def test_course_has_ten_goals_and_consecutive_ones_are_far_apart(name: str) -> None:
     course = COURSES[name]
     poses = [parse_pose(course.start, "start"), *course.poses()]
     assert len(poses) == 11

@@ -1,4 +1,4 @@
-"""What our filling networks are fed with."""
+"""Inputs of our filling networks."""
 
 import numpy as np
 import pytest

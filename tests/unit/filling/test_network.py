@@ -1,4 +1,4 @@
-"""Networks that fill holes: what each kind is fed with, and that files that hold none of them are refused in one line."""
+"""Networks that fill holes: the inputs of each kind, and the one-line errors for other files."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_negative_inverse_depth_of_a_network_is_not_used(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("content", "painted"), [(pipeline(), 7), (generator(), 0)])
-def test_networks_of_others_paint_holes_alone(tmp_path: Path, content: bytes, painted: int) -> None:
+def test_third_party_networks_change_only_holes(tmp_path: Path, content: bytes, painted: int) -> None:
     found = fill(tmp_path, content, with_depth=True)
     assert np.array_equal(found.colour[~IS_HOLE], COLOUR[~IS_HOLE])
     assert (found.colour[5:7, 13:17] == painted).all()
@@ -105,7 +105,7 @@ def _external() -> bytes:
         (our_network(nan=True), r"network\.onnx: its output holds a NaN or an infinity"),
     ],
 )  # fmt: skip
-def test_files_that_are_no_network_are_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+def test_files_without_a_network_are_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
         fill(tmp_path, content)
     assert "\n" not in str(caught.value)

@@ -74,7 +74,7 @@ def test_depth_of_a_plane_is_filled_as_a_plane() -> None:
     assert np.abs(filled * inverse - 1.0).max() < 0.08
 
 
-def test_what_has_no_depth_and_is_no_hole_keeps_having_none() -> None:
+def test_pixels_without_depth_outside_holes_keep_no_depth() -> None:
     depth = np.array([[2.0, np.inf, np.inf, 2.0]], dtype=np.float32)
     assert push_pull_depth(depth, np.array([[False, True, False, False]])).tolist() == [[2.0, 2.0, np.inf, 2.0]]
 

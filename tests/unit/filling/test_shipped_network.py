@@ -25,7 +25,7 @@ def wall() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return colour, depth, normals, hole
 
 
-def test_it_fills_holes_from_their_surroundings_and_leaves_the_sky() -> None:
+def test_network_fills_holes_from_their_surroundings_and_leaves_the_sky() -> None:
     colour, depth, normals, hole = wall()
     found = open_filler("learned").fill(colour, depth, normals, hole, with_depth=False).colour.astype(int)
     assert found.shape == (*SIZE, 3)
@@ -49,7 +49,7 @@ def test_the_same_image_gives_the_same_bits() -> None:
     assert one.tobytes() == other.tobytes()
 
 
-def test_its_file_is_small_and_says_where_it_comes_from() -> None:
+def test_network_file_is_small_and_states_its_origin() -> None:
     assert LEARNED.stat().st_size < 10_000_000
     card = LEARNED.with_suffix(".md").read_text()
     metadata = onnxruntime.InferenceSession(str(LEARNED)).get_modelmeta().custom_metadata_map

@@ -113,5 +113,5 @@ def test_a_model_in_gazebos_layout_names_files_of_the_whole_model(tmp_path: Path
 
 
 @pytest.mark.parametrize("text", ["a\0b", "x" * 5000])
-def test_what_can_be_no_path_is_inside_of_nothing(tmp_path: Path, text: str) -> None:
+def test_an_invalid_path_is_inside_no_root(tmp_path: Path, text: str) -> None:
     assert not is_inside(Path(text), (tmp_path,))

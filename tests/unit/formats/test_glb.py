@@ -82,7 +82,7 @@ def test_vertices_of_small_numbers_start_at_multiples_of_four_bytes(
     assert binary == stored * 2
 
 
-def test_what_follows_an_odd_number_of_bytes_is_aligned() -> None:
+def test_data_after_an_odd_number_of_bytes_is_aligned() -> None:
     builder = GlbBuilder()
     builder.indices([[0, 1, 2]], "u1")
     builder.attribute(TRIANGLE)

@@ -250,12 +250,12 @@ def test_metal_roughness_and_emission_are_read(tmp_path: Path) -> None:
     assert material.emissive == pytest.approx((1.0, 2.0, 3.0))
 
 
-def test_what_says_one_of_metal_and_roughness_has_the_standards_default_of_the_other(tmp_path: Path) -> None:
+def test_material_with_one_of_metallic_and_roughness_has_the_standard_default_of_the_other(tmp_path: Path) -> None:
     assert _material(tmp_path, {"pbrMetallicRoughness": {"roughnessFactor": 0.2}}).metallic == 1.0
     assert _material(tmp_path, {"pbrMetallicRoughness": {"metallicFactor": 0.0}}).roughness == 1.0
 
 
-def test_what_says_nothing_of_metal_and_roughness_is_matte(tmp_path: Path) -> None:
+def test_material_without_metallic_and_roughness_is_matte(tmp_path: Path) -> None:
     material = _material(tmp_path, {"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}})
     assert (material.metallic, material.roughness) == (0.0, 1.0)
 
@@ -291,7 +291,7 @@ def test_unlit_materials_have_no_further_textures(tmp_path: Path) -> None:
     assert not material.has_maps
 
 
-def test_texture_that_lies_otherwise_is_left_out_with_a_warning(tmp_path: Path) -> None:
+def test_texture_with_another_mapping_is_left_out_with_a_warning(tmp_path: Path) -> None:
     gltf = Gltf()
     gltf.triangle(uvs=[[0, 0], [1, 0], [0, 1]], material=gltf.image_material({"bufferView": 0, "mimeType": "image/png"}))
     gltf.document["images"][0]["bufferView"] = gltf.view(png((1, 2, 3)))

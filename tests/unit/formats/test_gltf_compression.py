@@ -91,7 +91,7 @@ def in_order(mesh: Mesh) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("make", [draco, meshopt])
-def test_compressed_is_what_it_was(tmp_path: Path, make: Any) -> None:
+def test_compressed_mesh_equals_the_original(tmp_path: Path, make: Any) -> None:
     expected = load_mesh(plain().write(tmp_path / "plain.glb"), [tmp_path])
     found = load_mesh(make().write(tmp_path / "packed.glb"), [tmp_path])
     np.testing.assert_allclose(in_order(found), in_order(expected), atol=2e-3)
@@ -110,7 +110,7 @@ def test_a_plain_copy_beside_the_compressed_one_is_taken(tmp_path: Path, monkeyp
     assert load_mesh(gltf.write(tmp_path / "both.glb"), [tmp_path]).triangle_count == 2 * (SIDE - 1) ** 2
 
 
-def test_without_the_decoder_it_is_said_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_decoder_error_has_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = draco().write(tmp_path / "a.glb")
     monkeypatch.setattr(compression, "find_spec", lambda name: None)
     with pytest.raises(MeshError, match=r"pip install DracoPy.*gltf-transform/cli copy in.glb"):
@@ -128,7 +128,7 @@ def refused(path: Path) -> bool:
     return bool(said)
 
 
-def test_broken_draco_is_refused_and_harms_no_process(tmp_path: Path) -> None:
+def test_broken_draco_is_refused_without_a_crash(tmp_path: Path) -> None:
     good, rng = draco(), np.random.default_rng(3)
     half = Gltf()
     half.document, half.chunk = json.loads(json.dumps(good.document)), good.chunk[: len(good.chunk) // 2]

@@ -177,7 +177,7 @@ def test_a_pixel_survives_the_way_to_space_and_back(name, across, down, distance
 @given(
     st.floats(-0.4, 0.4), st.floats(-0.2, 0.2), st.floats(-0.1, 0.1), st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01))
 )
-def test_any_lens_shows_what_it_was_pointed_at(k1, k2, k3, tangential):
+def test_a_pixel_of_any_lens_survives_unprojection_and_projection(k1, k2, k3, tangential):
     camera = replace(PINHOLE, distortion=(k1, k2, *tangential, k3))
     points = cloud(40)
     pixels, _ = project(points, camera)

@@ -14,7 +14,7 @@ def test_middle_grey_has_a_fifth_of_the_light_of_white() -> None:
     np.testing.assert_allclose(srgb_from_linear([0.0, 0.00309598, 0.21404114, 1.0]), [0.0, 0.04, 0.5, 1.0], atol=1e-7)
 
 
-def test_what_is_beyond_black_and_white_is_clipped() -> None:
+def test_values_beyond_black_and_white_are_clipped() -> None:
     assert linear_from_srgb([-1.0, 2.0]).tolist() == [0.0, 1.0]
     np.testing.assert_allclose(srgb_from_linear([-1.0, 2.0]), [0.0, 1.0], atol=1e-12)
     assert srgb8_from_linear([-np.inf, -1.0, 2.0, np.inf]).tolist() == [0, 0, 255, 255]

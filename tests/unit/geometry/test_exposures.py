@@ -46,7 +46,7 @@ def test_nothing_moves_and_one_picture_of_the_state_itself_is_drawn(spec: Camera
 
 
 @pytest.mark.parametrize("previous", [None, state(100.0, 0.5), state(150.0, 0.5)])
-def test_without_an_earlier_state_nothing_is_known_of_motion(previous: SceneState | None) -> None:
+def test_motion_is_unknown_without_an_earlier_state(previous: SceneState | None) -> None:
     now = state(100.0)
     assert [e.state for e in exposures(camera(0.01, 0.02), previous, now)] == [now]
 

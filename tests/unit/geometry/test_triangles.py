@@ -42,6 +42,6 @@ def test_points_are_spread_over_triangles_by_their_area() -> None:
     assert (points[owner < 2] @ [4.0, 3.0, 0.0] <= 12.0 + 1e-9).all()
 
 
-def test_nothing_is_spread_over_what_has_no_area() -> None:
+def test_no_points_are_spread_over_triangles_without_area() -> None:
     points, owner = spread_over(CORNERS[3:], 10, np.random.default_rng(0))
     assert (points.shape, owner.shape) == ((0, 3), (0,))

@@ -267,7 +267,7 @@ def test_arguments_that_json_lacks_are_refused(monkeypatch: pytest.MonkeyPatch) 
         Unit("u", "m:f", {"x": "x" * 3_000_000})
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"unit u: file '.*/absent' does not exist"):
         Unit("u", "m:f", files=(tmp_path / "absent",))
 

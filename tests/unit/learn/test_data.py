@@ -1,4 +1,4 @@
-"""What is true about images of drives: free distances, relative poses, pairs, shards. No scene is loaded."""
+"""Ground truth for images of drives: free distances, relative poses, pairs, shards. No scene is loaded."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_relative_pose_is_in_the_frame_of_the_first() -> None:
     np.testing.assert_allclose(found, [2.0, 0.5, math.pi / 2.0], atol=1e-12)
 
 
-def test_images_that_look_elsewhere_or_are_far_away_match_not() -> None:
+def test_images_with_another_heading_or_far_away_do_not_match() -> None:
     poses = np.array([[1.0, 0.2, 0.3], [3.0, 0.0, 0.0], [1.0, 1.5, 0.0], [1.0, 0.0, 1.5], [-1.0, 0.0, 0.0]])
     assert is_match(poses).tolist() == [True, False, False, False, False]
 
@@ -89,7 +89,7 @@ def test_pairs_are_those_ahead_on_the_same_path_and_some_of_others() -> None:
     assert pairs["match"].all()
 
 
-def test_images_with_a_wall_between_match_not() -> None:
+def test_images_with_a_wall_between_do_not_match() -> None:
     pairs = make_pairs(
         np.array([[2.5, 1.0, 0.0]]),
         [(0, 0)],

@@ -1,4 +1,4 @@
-"""What drives differ in from recordings."""
+"""Differences between drives and recordings."""
 
 from __future__ import annotations
 

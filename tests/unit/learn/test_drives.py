@@ -130,7 +130,7 @@ def test_slip_shortens_the_way_and_latency_delays_it(site: PathSite) -> None:
     assert late[25] == pytest.approx(plain[23], abs=0.01)
 
 
-def test_who_stands_still_ends_the_drive(site: PathSite, recording: Recording) -> None:
+def test_standing_still_ends_the_drive(site: PathSite, recording: Recording) -> None:
     trace = follow(site, recording, steady(0.0), Conditions(), seed=0)
     assert trace.ended == "standing"
     assert trace.outcome(recording).coverage < 0.2

@@ -1,4 +1,4 @@
-"""Pairs, stages and scores of the filler: by hand, and what cannot be is refused."""
+"""Pairs, stages and scores of the filler, by hand; impossible settings are refused."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_picture_without_holes_has_no_score_in_holes() -> None:
     assert np.isnan(found.hole_psnr) and found.seen_psnr == 60.0
 
 
-def test_gmsd_is_nought_of_equal_pictures_and_counts_edges_by_hand() -> None:
+def test_gmsd_is_zero_for_equal_pictures_and_matches_edges_computed_by_hand() -> None:
     step = flat(0, 8)
     step[:, 4:] = 90
     assert gmsd(step, step) == 0.0
@@ -101,7 +101,7 @@ def test_a_network_is_worth_shipping_if_it_beats_the_best_classical_in_holes_and
     assert lines[-1] == "| `learned` | 15.10 dB, 0.500 | 20.10 dB, 0.600 | 0.200 | 1.50, 3.00 |"
 
 
-def test_shards_come_back_as_they_were_saved_and_what_is_none_is_refused(tmp_path: Path) -> None:
+def test_shards_are_read_as_saved_and_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="2 of 2 shards are missing: room-000, room-001; run `gibson-sim learn filler pairs"):
         load_pairs(tmp_path, ["room-000", "room-001"])
     save_pairs(tmp_path / "room-000", pairs())
@@ -125,7 +125,7 @@ def test_arrays_that_differ_from_their_digest_are_refused(tmp_path: Path) -> Non
         load_pairs(tmp_path, ["room-001"])
 
 
-def test_hash_of_the_pairs_tells_others(tmp_path: Path) -> None:
+def test_hash_of_the_pairs_distinguishes_other_pairs(tmp_path: Path) -> None:
     for name, count in (("one", 2), ("same", 2), ("other", 3)):
         save_pairs(tmp_path / name / "room-000", pairs(count))
     one, same, other = (data_hash(tmp_path / name, ["room-000"]) for name in ("one", "same", "other"))
@@ -246,7 +246,7 @@ def test_a_finished_stage_is_not_run_again_and_other_settings_are_refused(tmp_pa
         make_scan("flat", tmp_path, PairsSettings(frames=60), lambda arguments: ran.append(arguments[1]))
 
 
-def test_settings_that_cannot_be_are_refused() -> None:
+def test_impossible_settings_are_refused() -> None:
     for wrong, message in (
         (lambda: TrainingSettings(crop=100), "'crop' is 100 px, must be a multiple of 16"),
         (lambda: PairsSettings(shards=0), "'shards' is 0"),

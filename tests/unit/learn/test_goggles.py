@@ -1,4 +1,4 @@
-"""Goggles: scores by hand, shards that are there whole or not at all, settings that cannot be."""
+"""Goggles: scores by hand, shards that are complete or absent, impossible settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_score_is_the_mean_over_all_shots_of_the_views_that_are_looked_at() ->
     assert mean_of([Score(10.0, 0.5, 3), Score(30.0, 0.9, 1)]) == Score(15.0, pytest.approx(0.6), 4)
 
 
-def test_shards_come_back_as_they_were_saved_and_what_is_none_is_refused(tmp_path: Path) -> None:
+def test_shards_are_read_as_saved_and_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds no pairs; run gibson-sim learn goggles"):
         load_pairs(tmp_path)
     save_pairs(tmp_path / "room-000", Pairs(flat(1)[None], flat(2)[None, None]))
@@ -37,6 +37,6 @@ def test_shards_come_back_as_they_were_saved_and_what_is_none_is_refused(tmp_pat
         load_pairs(tmp_path)
 
 
-def test_settings_that_cannot_be_are_refused() -> None:
+def test_impossible_settings_are_refused() -> None:
     with pytest.raises(ConfigError, match="batch is 0, must be 1 to 4096"):
         GogglesSettings(batch=0)

@@ -94,7 +94,7 @@ def test_free_distances_go_on_as_if_they_had_not_been_interrupted(tmp_path: Path
     assert [point.iteration for point in second.curve] == [2, 4]
 
 
-def test_near_things_told_as_far_and_far_ones_as_near_are_counted() -> None:
+def test_near_obstacles_predicted_as_far_and_far_ones_as_near_are_counted() -> None:
     from gibson_sim_learn.path_following.distances.training import miss_rates
 
     free = np.array([[0.5, 0.8, 2.0, 3.0, 1.5]], np.float32)
@@ -123,7 +123,7 @@ def test_exported_free_distances_are_those_of_their_own_network(tmp_path: Path) 
         np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
 
 
-def test_offsets_that_are_told_too_small_are_measured() -> None:
+def test_underestimated_offsets_are_measured() -> None:
     from gibson_sim_learn.path_following.training import calibrate_offsets
 
     rng = np.random.default_rng(0)

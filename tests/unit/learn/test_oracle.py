@@ -1,4 +1,4 @@
-"""Pure pursuit along lines, and ways round what stands on them."""
+"""Pure pursuit along lines, and detours around obstacles on them."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_way_round_keeps_its_distance_and_comes_back() -> None:
     assert found[0].tolist() == [-1.5, 0.0] and found[-1].tolist() == [1.5, 0.0]
 
 
-def test_what_blocks_the_whole_way_leaves_none() -> None:
+def test_an_obstacle_across_the_whole_path_leaves_no_detour() -> None:
     line = [(-1.5, 0.0), (1.5, 0.0)]
     floor = with_block(empty_floor(), (-0.1, -0.8), (0.1, 0.8))
     assert not is_passable(floor, line, 0.25)

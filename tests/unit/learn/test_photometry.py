@@ -82,7 +82,7 @@ def test_a_lamp_falls_off_with_the_square_of_the_distance() -> None:
     assert (relit_linear(GREY, -TOWARDS_X, AT_2_M, EYE, night) == 0).all()  # it faces away
 
 
-def test_a_sun_lights_what_faces_it() -> None:
+def test_a_sun_lights_surfaces_that_face_it() -> None:
     sun = RoomLight(sun=1.0, sun_azimuth=math.pi, sun_elevation=0.0)
     lit = relit_linear(GREY, TOWARDS_X, AT_2_M, EYE, sun)
     assert lit[0, 0, 0] == pytest.approx(2.0 * linear(100), rel=1e-4)

@@ -62,7 +62,7 @@ ROOM = _level(0, 0, 4, 3, 0) + _walls(0, 0, 4, 3)
 
 
 @pytest.mark.parametrize(("step", "climbs"), [(0.07, False), (0.08, True)])
-def test_platform_is_free_for_who_climbs_its_step(step: float, climbs: bool) -> None:
+def test_platform_is_free_for_a_robot_that_climbs_its_step(step: float, climbs: bool) -> None:
     floor = _map(ROOM + _box(2.0, 1.0, 3.0, 2.0, 0.08), RobotSize(step=step))
     assert _free_at(floor, 2.55, 1.55) is climbs
     assert _free_at(floor, 1.0, 1.5)
@@ -81,7 +81,7 @@ def test_ramp_is_free_up_to_the_slope_limit(rise: float, climbs: bool) -> None:
 
 
 @pytest.mark.parametrize(("height", "passes"), [(0.6, True), (0.8, False)])
-def test_low_passage_is_free_for_who_fits_below(height: float, passes: bool) -> None:
+def test_low_passage_is_free_for_a_robot_that_fits_below(height: float, passes: bool) -> None:
     floor = _map(ROOM + _box(1.0, 0.0, 2.0, 3.0, 1.2, bottom=0.7) + _level(1, 0, 2, 3, 0.7), RobotSize(height=height))
     assert _free_at(floor, 1.55, 1.55) is passes
 
@@ -139,7 +139,7 @@ def _door(angle: float) -> BodySpec:
     return BodySpec("door", model, Pose((2.0, 1.0, 0.0)), joints=(("hinge", angle),))
 
 
-def test_what_can_be_moved_stands_where_its_joints_are(tmp_path: Path) -> None:
+def test_movable_parts_are_mapped_at_their_joint_positions(tmp_path: Path) -> None:
     shut, ajar = ((_scene(tmp_path, ROOM, bodies=(_door(angle),))) for angle in (0.0, -np.pi / 2))
     # Rotated by -90 degrees, a leaf along +y points along +x.
     assert link_transforms(ajar.bodies[0])["leaf"][:3, :3] @ (0, 1, 0) == pytest.approx((1, 0, 0))

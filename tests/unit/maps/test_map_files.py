@@ -77,7 +77,7 @@ def test_command_writes_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "0.00 m" in capsys.readouterr().out
 
 
-def test_floor_that_is_not_there_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_floor_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     room = write_room(tmp_path / "room")
     with pytest.raises(SystemExit) as end:
         main(["scene", "map", str(room), "--output", str(tmp_path / "maps"), "--floor", "2"])

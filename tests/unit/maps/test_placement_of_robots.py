@@ -67,6 +67,6 @@ def test_starts_are_given_in_the_order_of_the_robots() -> None:
         ("a=gibson_bot,b=gibson_bot", "1,2,3;4,5,6;7,8,9", "3 places for 2 robots"),
     ],
 )
-def test_what_is_wrong_is_said(flat: SceneSpec, robots: str, start: str, words: str) -> None:
+def test_invalid_placement_is_refused_with_a_reason(flat: SceneSpec, robots: str, start: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         place_robots(flat, robots, start)

@@ -60,7 +60,7 @@ def test_tour_begins_at_the_start() -> None:
 
 
 @pytest.mark.parametrize("length", [0.5, 3.0, 10.0, 60.0])
-def test_tour_has_about_the_wanted_length(length: float) -> None:
+def test_tour_has_about_the_requested_length(length: float) -> None:
     assert _length(plan_tour(two_rooms(), (1.0, 1.0), RADIUS, length)) == pytest.approx(length, abs=1.0)
 
 

@@ -1,4 +1,4 @@
-"""Arcs: towards the goal, around what is near, slower where it is narrow, never into anything."""
+"""Arcs: towards the goal, around near obstacles, slower in narrow places, never into an obstacle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The policy that a name stands for."""
+"""Selection of a policy by name."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_teach_and_repeat_has_the_limits_and_shares_its_nodes_with_the_localiser
 
 
 @pytest.mark.parametrize("name", ["learned:none.onnx", "onnx:none.onnx"])
-def test_a_network_that_is_not_there_is_named(name: str) -> None:
+def test_a_missing_network_is_named(name: str) -> None:
     with pytest.raises(ModelError, match=r"none\.onnx"):
         make_policy(name, straight_path())
 
@@ -35,7 +35,7 @@ def test_a_path_of_images_alone_is_refused(backend: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "magic", "learned:", "onnx:", "teach_repeat:x"])
-def test_other_names_are_refused_with_those_that_there_are(name: str) -> None:
+def test_unknown_names_are_refused_with_the_known_ones(name: str) -> None:
     with pytest.raises(SettingError, match="must be learned, learned:FILE, teach_repeat or onnx:FILE"):
         make_policy(name, straight_path())
     assert name not in BACKENDS

@@ -77,7 +77,7 @@ def test_a_camera_that_sees_less_is_refused() -> None:
      ({"d": (math.nan,) * 4, "model": "plumb_bob"}, r"d is \(nan"), ({"d": (1e30,) * 4, "model": "plumb_bob"}, r"d is \(1e\+30"),
      ({"focal": -1.0}, "k is "), ({"focal": math.nan}, "k is "), ({"focal": 1e9}, "the focal lengths are 1e\\+09 and")],
 )  # fmt: skip
-def test_a_calibration_that_cannot_be_is_refused(values: dict[str, object], part: str) -> None:
+def test_an_impossible_calibration_is_refused(values: dict[str, object], part: str) -> None:
     with pytest.raises(SettingError, match=part):
         _calibration(**{"width": 100, "height": 50, "focal": 50.0, **values})  # type: ignore[arg-type]
 

@@ -29,7 +29,7 @@ def test_a_drive_beside_the_path_succeeds() -> None:
     assert found.duration == pytest.approx(7.0)
 
 
-def test_the_end_counts_not_what_was_passed() -> None:
+def test_overshooting_the_end_of_the_path_is_no_arrival() -> None:
     found = evaluate(NODES, [TracePoint(i * S, float(x), 0.0, 0.0) for i, x in enumerate((0, 1, 2, 3, 4))])
     assert found.coverage == 1.0
     assert not found.arrived and not found.success and found.spl == 0.0
@@ -68,7 +68,7 @@ def test_a_robot_that_stands_is_judged_too() -> None:
     assert found.spl == 0.0
 
 
-def test_what_cannot_be_judged_is_refused() -> None:
+def test_recordings_that_cannot_be_judged_are_refused() -> None:
     with pytest.raises(SettingError, match=r"0 nodes and 1 points of a trace"):
         evaluate([], [TracePoint(0, 0.0, 0.0, 0.0)])
     with pytest.raises(SettingError, match=r"holds a NaN or an infinity"):

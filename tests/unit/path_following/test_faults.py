@@ -1,4 +1,4 @@
-"""A camera with faults: which images go out, when, and which of them are covered; and what a robot does that drives by them."""
+"""A camera with faults: which images are sent, when, and which are covered; and the reaction of a robot that follows them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_the_lens_is_covered_a_time_after_the_first_motion() -> None:
     assert [is_covered for ((_, is_covered),) in out] == [False, False, False, True, True, False]
 
 
-def test_what_was_late_is_forgotten_when_time_goes_back() -> None:
+def test_delayed_images_are_dropped_when_time_goes_back() -> None:
     faults: CameraFaults[str] = CameraFaults(FaultSettings(delay=0.2))
     assert faults.add(5 * TICK, "before") == []
     assert faults.add(0, "after") == []
@@ -59,7 +59,7 @@ def test_images_whose_stamp_stands_still_are_not_kept_for_ever() -> None:
 
 
 @pytest.mark.parametrize("values", [{"drop": 1.5}, {"delay": -1.0}, {"cover": float("nan")}])
-def test_faults_that_cannot_be_are_refused(values: dict[str, float]) -> None:
+def test_impossible_faults_are_refused(values: dict[str, float]) -> None:
     with pytest.raises(SettingError, match="must be 0 to"):
         FaultSettings(**values)
 

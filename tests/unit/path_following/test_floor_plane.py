@@ -52,7 +52,7 @@ def test_image_from_the_same_place_stays_as_it_is() -> None:
     assert np.abs(warped.astype(int) - image)[1:-1, 1:-1].max() <= 1
 
 
-def test_what_is_far_moves_with_the_turn_alone() -> None:
+def test_far_pixels_move_with_the_rotation_alone() -> None:
     image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     image[: HEIGHT // 2, 48:50] = 255
     turn = 0.2  # the earlier camera looked farther to the left: what was in its middle is to the left now
@@ -61,7 +61,7 @@ def test_what_is_far_moves_with_the_turn_alone() -> None:
     assert column == pytest.approx(48.5 - FOCAL * math.tan(turn), abs=1.0)
 
 
-def test_what_the_earlier_camera_did_not_see_is_black() -> None:
+def test_pixels_that_the_earlier_camera_did_not_see_are_black() -> None:
     image = np.full((HEIGHT, WIDTH, 3), 200, np.uint8)
     warped = FloorPlane(WIDTH, HEIGHT, HFOV, CAMERA).warp(image, np.array([0.3, 0.0, 0.0]))
     assert not warped[-1, WIDTH // 2].any(), "nearer than the lowest row of a camera that stood ahead"

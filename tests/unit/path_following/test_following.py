@@ -129,7 +129,7 @@ def test_a_robot_that_looks_to_the_left_is_turned_to_the_right() -> None:
     assert 0.0 < found.linear < 0.4
 
 
-def test_it_slows_down_while_an_image_does_not_fit() -> None:
+def test_follower_slows_down_while_an_image_does_not_match() -> None:
     policy = TeachRepeatPolicy(straight_path())
     found = policy.act(pinhole_view(4.0), 0, Place(4.0, 0.0, False))
     assert found.linear == pytest.approx(0.2, abs=0.01)
@@ -188,7 +188,7 @@ def test_a_path_is_followed_to_its_end_and_the_robot_stays_there() -> None:
     assert follower.state == "waiting" and policy.resets == 2
 
 
-def test_it_stops_when_images_are_too_old_and_goes_on_with_new_ones() -> None:
+def test_follower_stops_when_images_are_too_old_and_resumes_with_new_ones() -> None:
     follower, _ = _follower(stale_after=0.5)
     last = _found(follower)
     assert follower.tick(last + 500_000_000) == Velocity(0.4, 0.0)
@@ -197,7 +197,7 @@ def test_it_stops_when_images_are_too_old_and_goes_on_with_new_ones() -> None:
     assert follower.state == "following"
 
 
-def test_it_stops_at_images_from_the_future_and_when_none_arrive_although_their_stamps_are_ahead() -> None:
+def test_follower_stops_at_images_from_the_future_and_when_images_cease() -> None:
     follower, _ = _follower(stale_after=0.5)
     last = _found(follower)
     assert follower.tick(last - 500_000_001) == STOP and follower.state == "stale"
@@ -207,7 +207,7 @@ def test_it_stops_at_images_from_the_future_and_when_none_arrive_although_their_
     assert follower.tick(arrived + 500_000_001) == STOP and follower.state == "stale"
 
 
-def test_it_stops_at_a_covered_lens_and_goes_on_after() -> None:
+def test_follower_stops_at_a_covered_lens_and_resumes_afterwards() -> None:
     follower, policy = _follower()
     last = _found(follower, 4)
     calls = len(policy.places)
@@ -219,7 +219,7 @@ def test_it_stops_at_a_covered_lens_and_goes_on_after() -> None:
     assert policy.places[-1].index == pytest.approx(3.0, abs=0.5)
 
 
-def test_it_stops_while_it_is_lost() -> None:
+def test_follower_stops_while_it_is_lost() -> None:
     follower, _ = _follower(search=False)
     last = _found(follower, 4)
     for i in range(8):
@@ -301,7 +301,7 @@ def test_old_images_change_nothing_and_impossible_velocities_are_limited() -> No
     assert follower.observe(last + STEP_NS, pinhole_view(2)) == STOP
 
 
-def test_settings_that_cannot_be_are_refused() -> None:
+def test_impossible_settings_are_refused() -> None:
     with pytest.raises(SettingError, match=r"stale_after is 0, must be 0\.01 to 60"):
         FollowerSettings(stale_after=0.0)
     with pytest.raises(SettingError, match=r"start is -1, must be a node"):

@@ -1,4 +1,4 @@
-"""Networks with the inputs and outputs of GNM, ViNT and NoMaD drive a path; files of strangers are refused in one line."""
+"""Networks with the inputs and outputs of GNM, ViNT and NoMaD drive a path; other files are refused in one line."""
 
 from __future__ import annotations
 
@@ -249,7 +249,7 @@ def _texts() -> bytes:
         (goal_network(waypoints=0), r"must be a distance \(batch, 1\) and waypoints"),
     ],
 )
-def test_a_file_that_is_no_such_network_is_refused_in_one_line(tmp_path: Path, content: bytes, words: str) -> None:
+def test_a_file_without_a_gnm_network_is_refused_in_one_line(tmp_path: Path, content: bytes, words: str) -> None:
     with pytest.raises(ModelError, match=words) as caught:
         open_network(write(tmp_path, content))
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500

@@ -1,4 +1,4 @@
-"""Goggles: histograms and grey world by hand, networks of any size of image, and files of strangers in one line."""
+"""Goggles: histograms and grey world by hand, networks of any image size, and one-line errors for other files."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ IMAGE = r"image uint8 \(1, any, any, 3\)"
         (network(out="small"), r"its output is uint8 \(1, 64, 96, 3\), must be uint8 \(1, 22, 34, 3\), as its image"),
     ],
 )  # fmt: skip
-def test_a_file_that_is_no_such_network_is_refused_in_one_line(tmp_path: Path, content: bytes, words: str) -> None:
+def test_a_file_without_a_goggles_network_is_refused_in_one_line(tmp_path: Path, content: bytes, words: str) -> None:
     with pytest.raises(ModelError, match=words) as caught:
         make_goggles("learned", str(write(tmp_path, content)))
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
@@ -144,7 +144,7 @@ def test_sizes_of_small_that_a_file_leaves_free_fit(tmp_path: Path) -> None:
         assert make_goggles("learned", str(file))(np.full((5, 7, 3), (1, 2, 3), np.uint8))[0, 0].tolist() == [3, 2, 1]
 
 
-def test_what_cannot_be_is_refused_with_what_can(tmp_path: Path) -> None:
+def test_impossible_options_are_refused_with_the_possible_ones(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"cannot read .*none\.onnx: No such file"):
         make_goggles("learned", str(tmp_path / "none.onnx"))
     with pytest.raises(SettingError, match="mode is 'rose', must be learned, histogram or grey_world"):

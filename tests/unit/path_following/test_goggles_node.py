@@ -76,7 +76,7 @@ def test_the_camera_info_of_an_image_is_the_one_with_its_stamp_as_it_came() -> N
     assert infos.of_image(_image(2).header, 10, 6) == _info(2, fx=2.0)
 
 
-def test_without_one_of_its_stamp_it_is_the_newest_of_its_size_with_its_header() -> None:
+def test_without_a_camera_info_of_its_stamp_an_image_gets_the_newest_one_of_its_size() -> None:
     infos = CameraInfos(5)
     for info in (_info(1, fx=1.0), _info(2, fx=2.0), _info(3, width=20)):
         infos.add(info)
@@ -86,7 +86,7 @@ def test_without_one_of_its_stamp_it_is_the_newest_of_its_size_with_its_header()
     assert infos.of_image(_image(7).header, 30, 6) is None
 
 
-def test_one_of_its_stamp_but_of_another_size_is_not_that_of_the_image_nor_is_an_older_one() -> None:
+def test_a_camera_info_of_another_size_or_an_older_one_is_not_that_of_the_image() -> None:
     infos = CameraInfos(5)
     for info in (_info(1), _info(2, width=20)):
         infos.add(info)
@@ -184,7 +184,7 @@ def test_an_image_does_not_wait_if_no_camera_info_is_published(make: Callable[..
 # Images
 
 
-def test_of_the_images_that_wait_the_newest_is_adapted_and_counts_are_logged(
+def test_the_newest_waiting_image_is_adapted_and_counts_are_logged(
     make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = make()

@@ -1,4 +1,4 @@
-"""Plans over the lattice: straight without obstacles, round an obstacle on its free side, up to what blocks the path."""
+"""Plans over the lattice: straight without obstacles, around an obstacle on its free side, up to an obstacle that blocks the path."""
 
 from __future__ import annotations
 

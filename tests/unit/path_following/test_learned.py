@@ -1,4 +1,4 @@
-"""The learned policy, with a network made by hand whose recorded images tell by their colours where they are."""
+"""The learned policy, with a hand-made network whose recorded images encode their positions in their colours."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "path"
 
 
-def test_it_drives_once_it_has_found_its_place_and_stops_without_images(context: Any, folder: Path) -> None:
+def test_robot_drives_once_it_is_localised_and_stops_without_images(context: Any, folder: Path) -> None:
     driven = Driven(context, folder)
     now = driven.begin()
     assert driven.sent[0] == 0.0 and driven.sent[-1] > 0.2 and driven.node._state == "following"
@@ -137,7 +137,7 @@ def wall(monkeypatch: pytest.MonkeyPatch) -> Any:
         ),
     ],
 )
-def test_images_of_another_clock_never_drive_and_a_line_says_so(
+def test_images_of_another_clock_never_drive_the_robot_and_are_reported(
     context: Any, folder: Path, wall: Any, ahead_s: int, line: str
 ) -> None:
     driven = Driven(context, folder)
@@ -198,7 +198,7 @@ def test_a_path_that_cannot_be_read_is_an_error_and_no_state(
     assert "inactive" not in capfd.readouterr().err
 
 
-def test_it_stands_while_the_policy_fails_and_goes_on_afterwards(context: Any, folder: Path) -> None:
+def test_robot_stands_while_the_policy_fails_and_goes_on_afterwards(context: Any, folder: Path) -> None:
     driven = Driven(context, folder)
     now = driven.begin()
     observe = driven.node._follower.observe
@@ -218,7 +218,7 @@ def test_it_stands_while_the_policy_fails_and_goes_on_afterwards(context: Any, f
     driven.node.destroy_node()
 
 
-def test_it_drives_only_while_the_dead_mans_switch_is_held(context: Any, folder: Path) -> None:
+def test_robot_drives_only_while_the_dead_mans_switch_is_held(context: Any, folder: Path) -> None:
     driven = Driven(context, folder, deadman_button=1)
     now = driven.begin()
     assert set(driven.sent) == {0.0} and driven.node._state == "held"
@@ -234,7 +234,7 @@ def test_it_drives_only_while_the_dead_mans_switch_is_held(context: Any, folder:
     driven.node.destroy_node()
 
 
-def test_it_stands_until_a_manager_activates_it(context: Any, folder: Path) -> None:
+def test_robot_stands_until_a_lifecycle_manager_activates_the_node(context: Any, folder: Path) -> None:
     driven = Driven(context, folder, autostart=False)
     assert driven.node._input is None and driven.node._state == "inactive"
     driven.node.trigger_configure()
@@ -477,7 +477,7 @@ def test_a_robot_that_is_pushed_is_localised_by_its_images_alone(context: Any, f
 
 
 @pytest.mark.parametrize("wrong_ns", [0, 50 * NS, 150 * NS])
-def test_one_image_of_another_time_does_not_reset_the_localiser_and_a_line_says_so(
+def test_one_image_of_another_time_does_not_reset_the_localiser_and_is_reported(
     context: Any, folder: Path, wrong_ns: int
 ) -> None:
     localised = Localised(context, folder)
@@ -928,7 +928,7 @@ def test_the_evaluator_starts_over_at_a_reset_and_says_when_there_was_no_drive(
         "std_msgs/msg/String",
     ],
 )
-def test_a_collision_type_that_tells_nothing_is_refused(context: Any, folder: Path, name: str) -> None:
+def test_a_message_type_without_collision_information_is_refused(context: Any, folder: Path, name: str) -> None:
     overrides = [Parameter("path", value=str(folder)), Parameter("collision_type", value=name)]
     with pytest.raises(SettingError, match="collision_type is"):
         PathEvaluatorNode(context=context, parameter_overrides=overrides)

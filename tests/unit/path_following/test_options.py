@@ -101,5 +101,5 @@ def test_a_description_has_type_limits_and_default() -> None:
     ("name", "hint"),
     [("mod", "did you mean 'mode'?"), ("modle", "did you mean 'model'?"), ("zzz", "--help lists the parameters of this node")],
 )
-def test_a_parameter_that_there_is_not_gets_a_hint(name: str, hint: str) -> None:
+def test_an_unknown_parameter_gets_a_hint(name: str, hint: str) -> None:
     assert unknown_name(name, GogglesOptions) == f"parameter '{name}' is unknown and has no effect; {hint}"

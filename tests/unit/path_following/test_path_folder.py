@@ -1,4 +1,4 @@
-"""A path is written whole and read as it was; a folder of a stranger is refused in one line."""
+"""A path is written completely and read back equal; an untrusted folder is refused in one line."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_both_fisheyes_are_kept(tmp_path: Path) -> None:
     assert np.array_equal(load_path(tmp_path / "hall").nodes[1].view[1], nodes[1].view[1])
 
 
-def test_a_folder_is_not_overwritten_unless_it_is_a_path_and_that_is_wanted(tmp_path: Path) -> None:
+def test_only_the_folder_of_a_path_is_overwritten_and_only_on_request(tmp_path: Path) -> None:
     save_path(straight_path(3), tmp_path / "a")
     with pytest.raises(PathFolderError, match=r"cannot write .*a: it exists; give a new folder"):
         save_path(straight_path(2), tmp_path / "a")
@@ -65,7 +65,7 @@ def test_a_folder_is_not_overwritten_unless_it_is_a_path_and_that_is_wanted(tmp_
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a", "mine"]
 
 
-def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(PathFolderError, match=r"cannot write .*file/a: "):
         save_path(straight_path(2), tmp_path / "file" / "a")
@@ -154,9 +154,7 @@ def _kill(function: str, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("function", ["_write", "check_path"])
-def test_what_a_killed_writer_left_is_removed_at_the_next_start_and_that_of_a_running_one_stays(
-    tmp_path: Path, function: str
-) -> None:
+def test_remains_of_a_killed_writer_are_removed_and_those_of_a_running_one_stay(tmp_path: Path, function: str) -> None:
     with PathWriter(tmp_path / "running") as running:
         running._draft.mkdir()
         _kill(function, tmp_path / "killed")

@@ -1,4 +1,4 @@
-"""Recording a path: where its nodes are, and what stands in them."""
+"""Recording a path: the positions and contents of its nodes."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_one_odometry_from_the_future_does_not_stop_the_odometry() -> None:
     assert lines == ["odom: one stamp was 3598.5 s ahead of the next one and is left out; correct the driver"]
 
 
-def test_where_odometry_jumps_the_commands_count_and_a_line_says_so_once() -> None:
+def test_jumping_odometry_is_replaced_by_commands_and_reported_once() -> None:
     lines: list[str] = []
     recorder = PathRecorder("pinhole", 1.5, warn=lines.append)
     recorder.add_command(NS, FORWARD)

@@ -26,7 +26,7 @@ def test_a_process_that_left_its_session_is_found_by_its_mark_and_ended() -> Non
     assert end_marked(mark, "A_VARIABLE") == 0
 
 
-def test_what_ignores_sigterm_is_killed() -> None:
+def test_a_process_that_ignores_sigterm_is_killed() -> None:
     code = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM}); print('deaf', flush=True); signal.pause()"
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=with_mark(os.environ, "of this test")) as process:
@@ -38,7 +38,7 @@ def test_what_ignores_sigterm_is_killed() -> None:
     assert process.returncode == -signal.SIGKILL
 
 
-def test_all_below_a_process_are_found_but_for_some_and_those_below_them() -> None:
+def test_all_descendants_are_found_except_excluded_ones_and_their_descendants() -> None:
     code = (
         f"import subprocess, sys; child = subprocess.Popen([sys.executable, '-c', {WAITS!r}], start_new_session=True); "
         "print(child.pid, flush=True); child.wait()"

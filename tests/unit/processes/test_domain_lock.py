@@ -1,4 +1,4 @@
-"""The lock of a ROS domain: one holder, whatever others do."""
+"""The lock of a ROS domain: one holder at a time."""
 
 from __future__ import annotations
 

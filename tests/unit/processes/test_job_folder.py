@@ -48,7 +48,7 @@ def test_the_last_node_of_a_killed_launcher_removes_the_folder(tmp_path: Path) -
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_which_every_process_was_killed_goes_with_the_next_start(tmp_path: Path) -> None:
+def test_the_next_start_removes_a_folder_whose_processes_were_all_killed(tmp_path: Path) -> None:
     make = "import sys, os; from pathlib import Path; from gibson_sim.processes.job_folder import JobFolder; JobFolder(Path(sys.argv[1])); "
     subprocess.run([sys.executable, "-c", make + "os.kill(os.getpid(), 9)", str(tmp_path)], check=False)
     (left,) = tmp_path.iterdir()

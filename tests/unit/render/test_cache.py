@@ -64,7 +64,7 @@ def kept(cache: SceneCache, visuals: Visuals) -> Path:
     return path
 
 
-def test_what_is_loaded_is_what_was_stored(cache: SceneCache, visuals: Visuals, kept: Path) -> None:
+def test_a_loaded_scene_equals_the_stored_one(cache: SceneCache, visuals: Visuals, kept: Path) -> None:
     stored, loaded = _build(visuals), cache.load(kept)
     assert loaded is not None
     for field in dataclasses.fields(SceneGeometry):
@@ -105,13 +105,15 @@ def _put_texture(mesh: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [_append, _touch, Path.unlink, _change_material, _put_texture])
-def test_a_file_that_changed_makes_it_useless(cache: SceneCache, mesh: Path, kept: Path, change: Callable[[Path], None]) -> None:
+def test_a_changed_file_invalidates_the_entry(cache: SceneCache, mesh: Path, kept: Path, change: Callable[[Path], None]) -> None:
     assert cache.load(kept) is not None
     change(mesh)
     assert cache.load(kept) is None
 
 
-def test_what_decides_the_result_decides_the_file(cache: SceneCache, visuals: Visuals, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_input_of_the_result_changes_the_cache_file(
+    cache: SceneCache, visuals: Visuals, monkeypatch: pytest.MonkeyPatch
+) -> None:
     square = visuals[0]
     others = [
         replace(square, pose=Pose((0.0, 0.0, 1e-9))),
@@ -136,7 +138,7 @@ def test_equal_scenes_have_the_same_file(cache: SceneCache, visuals: Visuals) ->
 
 
 @pytest.mark.parametrize("part", [0.0, 0.01, 0.3, 0.9, 0.9999])
-def test_a_file_that_was_cut_off_is_not_used_and_that_is_said(
+def test_a_truncated_file_is_not_used_and_reported(
     cache: SceneCache, kept: Path, caplog: pytest.LogCaptureFixture, part: float
 ) -> None:
     content = kept.read_bytes()
@@ -147,7 +149,7 @@ def test_a_file_that_was_cut_off_is_not_used_and_that_is_said(
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_noise_in_the_head_of_a_file_is_no_scene(
+def test_a_file_with_a_corrupt_header_is_not_used(
     cache: SceneCache, kept: Path, seed: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     content = bytearray(kept.read_bytes())
@@ -160,7 +162,7 @@ def test_noise_in_the_head_of_a_file_is_no_scene(
     assert "loaded from its files" in caplog.text
 
 
-def test_something_else_in_a_pickle_is_no_scene(cache: SceneCache, kept: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_pickle_of_another_type_is_not_used(cache: SceneCache, kept: Path, caplog: pytest.LogCaptureFixture) -> None:
     with kept.open("wb") as file:
         module._pack(file, ["not", "a", "scene"])
     with caplog.at_level(logging.WARNING):

@@ -45,7 +45,7 @@ def test_primitives_are_closed_to_the_bit(shape: Shape) -> None:
     np.testing.assert_allclose(found, np.concatenate([(low + high) / 2, (high - low) / 2]), atol=1e-7)
 
 
-def test_what_lacks_a_triangle_is_open_and_what_stands_beside_it_is_not() -> None:
+def test_a_surface_without_one_triangle_is_open_and_its_neighbour_is_closed() -> None:
     box = _part(BOX)
     opened = replace(box, triangles=box.triangles[1:])
     assert _closed_share(opened) == [0.0]

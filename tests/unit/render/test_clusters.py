@@ -101,7 +101,7 @@ def test_clusters_of_a_scene_are_those_clusters(rings: int) -> None:
 
 
 @needs_simplifier
-def test_coarser_clusters_have_fewer_triangles_than_what_they_replace() -> None:
+def test_coarser_clusters_have_fewer_triangles_than_those_they_replace() -> None:
     part, built = _sphere()
     sizes = built.ends - built.starts
     assert len(built.group_error) > 20
@@ -275,7 +275,7 @@ def test_a_flat_surface_with_a_straight_texture_loses_nothing() -> None:
 
 
 @needs_simplifier
-def test_a_bent_texture_on_a_flat_surface_counts_as_an_error() -> None:
+def test_a_distorted_texture_mapping_on_a_flat_surface_counts_as_an_error() -> None:
     flat = bumpy_grid(80, height=0.0)
     x, y, _ = flat.vertices.T
     bent = np.stack([x / 4 + 0.5 + 0.05 * np.sin(6 * y) * np.sin(6 * x), y / 4 + 0.5], axis=1).astype(np.float32)

@@ -49,9 +49,7 @@ def test_threads_of_a_second_renderer_share_the_cores_of_the_first(machine: Mach
 
 
 @pytest.mark.parametrize("usable", [{0}, {0, 1, 2}])
-def test_they_are_left_alone_where_there_is_one_core_or_there_are_fewer_threads_than_cores(
-    machine: Machine, usable: set[int]
-) -> None:
+def test_threads_are_not_pinned_with_one_core_or_fewer_threads_than_cores(machine: Machine, usable: set[int]) -> None:
     machine.usable = usable
     assert cores.spread_threads() == {}
     assert machine.moved == {}

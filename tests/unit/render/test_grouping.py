@@ -33,13 +33,13 @@ def test_without_sharing_every_camera_has_a_target_of_its_own() -> None:
     ]
 
 
-def test_what_does_not_fit_into_one_target_gets_several() -> None:
+def test_cameras_that_do_not_fit_into_one_target_get_several() -> None:
     groups = CameraGrouping(100).of([_camera(name, "rgb", width=80) for name in "abc"])
     assert sorted(k for group in groups for k in group.numbers) == [0, 1, 2]
     assert all(group.width <= 100 and group.height <= 100 for group in groups)
 
 
-def test_the_same_cameras_are_grouped_once_and_others_anew() -> None:
+def test_equal_cameras_are_grouped_once_and_others_again() -> None:
     grouping = CameraGrouping(4096)
     one, other = _camera("a", "rgb"), _camera("b", "depth")
     assert grouping.of([one, other]) is grouping.of((one, other))

@@ -107,7 +107,7 @@ def test_a_box_that_a_pixel_would_show_is_never_called_hidden(loops: bool, seed:
 
 
 @BOTH
-def test_most_of_what_cannot_be_seen_is_found(loops: bool) -> None:
+def test_most_hidden_boxes_are_culled(loops: bool) -> None:
     # Otherwise "never hidden" would pass the test above.
     rng = np.random.default_rng(5)
     found, unseen = 0, 0

@@ -113,7 +113,7 @@ def test_four_wheels_called_mecanum_go_sideways(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-def test_pins_with_a_level_axis_do_not_steer_and_are_named_and_what_touches_the_floor_beside_the_wheels_slides(
+def test_joints_with_a_horizontal_axis_do_not_steer_and_other_floor_contacts_slide(
     tmp_path: Path,
 ) -> None:
     text = (pair(-0.1) + steered(0.2)).replace('"0 0 1"', '"0 1 0"')
@@ -165,15 +165,13 @@ FOUR_JOINTS = "".join(f"<{corner}_joint>{corner}_wheel_joint</{corner}_joint>" f
         ),
     ],
 )
-def test_four_wheels_are_mecanum_wheels_if_something_says_so_and_the_line_says_what(
-    tmp_path: Path, inner: str, sign: str
-) -> None:
+def test_four_wheels_are_mecanum_wheels_with_evidence_and_the_log_names_it(tmp_path: Path, inner: str, sign: str) -> None:
     path = written(tmp_path, pair(0.1) + pair(-0.1) + inner)
     assert mecanum_angles(path) == MECANUM
     assert guess_of_drive(path).endswith(f"(mecanum: {sign})")
 
 
-def test_four_wheels_of_which_nothing_says_that_they_are_mecanum_are_a_skid_steer_and_the_line_says_why(tmp_path: Path) -> None:
+def test_four_wheels_without_evidence_of_mecanum_are_a_skid_steer_and_the_log_says_why(tmp_path: Path) -> None:
     line = guess_of_drive(written(tmp_path, pair(0.1) + pair(-0.1)))
     assert line.endswith("(they do not steer, and nothing says that they are mecanum)")
 
@@ -332,7 +330,7 @@ def test_a_body_that_stands_without_its_wheels_is_lifted_onto_them(tmp_path: Pat
     assert "wheel_drop" not in derive_file(written(tmp_path, inner, BODY.format("base_link", 0.0))).values
 
 
-def test_what_is_guessed_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_derived_settings_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     scan = '<link name="base_scan"/>' + joint("base_scan", "base_link", "0 0 0.2", kind="fixed")
     eye = '<link name="camera_link"/>' + joint("camera_link", "base_link", "0.2 0 0.2", kind="fixed")
@@ -365,7 +363,7 @@ def test_what_is_guessed_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixtur
         (pair(0.1, z=0.3), "lower than the wheels"),
     ],
 )
-def test_what_cannot_drive_is_a_clear_error(tmp_path: Path, inner: str, reason: str) -> None:
+def test_robot_without_a_usable_drive_is_refused_in_one_line(tmp_path: Path, inner: str, reason: str) -> None:
     with pytest.raises(RobotError, match=reason) as caught:
         load_robot(written(tmp_path, inner))
     assert "YAML" not in str(caught.value)
@@ -385,7 +383,7 @@ def legs(count: int, *, low: float = -0.5) -> str:
 
 
 @pytest.mark.parametrize("needs_drive", [True, False])
-def test_a_robot_with_legs_is_refused_and_told_how_it_is_held(tmp_path: Path, needs_drive: bool) -> None:
+def test_a_legged_robot_is_refused_with_the_remedy(tmp_path: Path, needs_drive: bool) -> None:
     path = written(tmp_path, legs(4))
     with pytest.raises(
         RobotError, match=r"bot\.urdf: stands on 4 legs \(hip0_joint, .*\): walking robots are not simulated"
@@ -413,7 +411,7 @@ def test_a_fixed_base_and_a_drive_exclude_each_other(tmp_path: Path) -> None:
         load_robot(tmp_path / "robot.yaml")
 
 
-def test_the_plugin_of_gazebo_tells_wheels_from_others(tmp_path: Path) -> None:
+def test_the_gazebo_plugin_distinguishes_drive_wheels_from_other_joints(tmp_path: Path) -> None:
     """The front pair has no motor, and nothing in its shape or name says so."""
     joints = "<left_joint>rear_left_wheel_joint</left_joint><right_joint>rear_right_wheel_joint</right_joint>"
     plugin = gazebo("libgazebo_ros_diff_drive.so", joints + "<wheel_diameter>0.16</wheel_diameter>")
@@ -523,7 +521,7 @@ def test_wheels_grip_and_casters_slide_where_the_file_does_not_say(tmp_path: Pat
     assert read_urdf(load_robot(written(tmp_path, pair(0.1) + told + hang)).urdf).link("ball").friction == 0.2
 
 
-def test_friction_that_is_told_to_gazebo_counts(tmp_path: Path) -> None:
+def test_gazebo_friction_is_used(tmp_path: Path) -> None:
     told = '<gazebo reference="ball"><mu1>0.1</mu1><mu2>0.2</mu2></gazebo><gazebo reference="front_left_wheel"><mu1>1000</mu1></gazebo>'
     ball = '<link name="ball"/>' + joint("ball", "base_link", "0 0 0", kind="fixed")
     model = read_urdf(written(tmp_path, pair(0.1) + ball + told))

@@ -52,7 +52,7 @@ def test_braking_obeys_the_same_limit() -> None:
     assert limit_velocity(PlanarVelocity(0.3, 0.0, -1.0), PlanarVelocity(), DRIVE, 0.1) == pytest.approx((0.2, 0.0, -0.6))
 
 
-def test_wanted_speed_is_cut_to_the_maximum() -> None:
+def test_requested_speed_is_limited_to_the_maximum() -> None:
     assert limit_velocity(PlanarVelocity(0.49, 0.0, -1.99), PlanarVelocity(9.0, 0.0, -9.0), DRIVE, 1.0) == (0.5, 0.0, -2.0)
 
 

@@ -74,7 +74,7 @@ def test_a_base_on_a_servo_goes_less_while_its_wheels_turn_in_full(spec: Differe
     assert drive.base_velocity == pytest.approx((0.36, 0.0, 0.4))
 
 
-def test_a_drive_without_slip_does_what_it_is_told() -> None:
+def test_a_drive_without_slip_follows_its_commands() -> None:
     drive = make_drive(DRIVE)
     drive.targets(FORWARD, DT)
     assert drive.base_velocity == drive.velocity

@@ -70,7 +70,7 @@ def test_hinge_of_a_lever_on_a_door_is_that_of_the_door() -> None:
     assert [hinge_of(model, link) for link in ("lever", "leaf", "drawer", "frame")] == ["hinge", "hinge", None, None]
 
 
-def test_reasons_to_let_go() -> None:
+def test_reasons_to_release() -> None:
     rules = GraspSettings(release_force=100.0, release_angle=math.radians(60.0))
     assert release_reason(rules, 100.0, math.radians(-59.9)) == ""
     assert release_reason(rules, 100.1, None) == "let go: 100 N is more than the set force, 100 N"

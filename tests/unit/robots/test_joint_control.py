@@ -103,7 +103,7 @@ def test_velocity_ends_at_a_limit_of_position(bench: Bench) -> None:
     assert bench.positions["arm"] == pytest.approx(-1.0)
 
 
-def test_other_joints_go_on_as_they_were_told(bench: Bench) -> None:
+def test_other_joints_keep_their_commands(bench: Bench) -> None:
     bench.command(JointVelocities((1.0,), ("spin",)))
     bench.command(JointPositions((0.1,), ("arm",)))
     bench.run(1.0)
@@ -271,7 +271,7 @@ def test_position_at_the_limit_is_allowed_whatever_the_planner_rounds(bench: Ben
         ),
     ],
 )
-def test_command_that_makes_no_sense_is_refused(make: Callable[[], JointCommand], words: str) -> None:
+def test_invalid_command_is_refused(make: Callable[[], JointCommand], words: str) -> None:
     with pytest.raises(CommandError) as error:
         make()
     assert words in str(error.value)

@@ -27,7 +27,7 @@ def test_goal_is_reached_when_time_is_over_and_all_joints_are_there() -> None:
     assert outcome(goal, 5.1, 1.011, 2.0) is TrajectoryCode.GOAL_TOLERANCE_VIOLATED
 
 
-def test_tolerances_of_the_goal_replace_what_is_usual() -> None:
+def test_tolerances_of_the_goal_replace_the_defaults() -> None:
     rules = {"a": Tolerance(0.5, 0.1), "b": Tolerance(-1.0)}
     goal = TrajectoryGoal(("a", "b"), (1.0, 2.0), 3 * S, goal=rules, goal_time=0.5)
     assert outcome(goal, 3.0, 1.4, 99.0) is TrajectoryCode.SUCCESSFUL

@@ -62,7 +62,7 @@ def test_a_robot_starts_at_home_and_its_other_joints_where_they_rest(load: Load)
     assert dict(load("").joints) == {"lift": 0.1}
 
 
-def test_what_a_robot_does_not_have_is_refused_with_what_it_has(load: Load) -> None:
+def test_unknown_manipulators_and_named_poses_are_refused_with_the_known_ones(load: Load) -> None:
     robot = load(ARM)
     with pytest.raises(RobotError, match="no manipulator 'leg'; known: arm"):
         robot.manipulator("leg")

@@ -78,7 +78,7 @@ def test_encoders_add_no_more_than_a_tick_however_far_it_goes() -> None:
     assert far == pytest.approx(tick**2 / 3)
 
 
-def test_speed_of_wheels_that_count_nothing_is_known_the_better_the_longer() -> None:
+def test_speed_variance_of_wheels_without_ticks_falls_with_time() -> None:
     errors = OdometryErrors(WheelOdometrySpec(encoder_ticks=4096), ticks=[(1e-4, 0.0, 0.0)] * 2)
     errors.add(0.01, 0.0, 0.0, NONE, DT)
     variances = [errors.covariance().twist[0]]
@@ -97,7 +97,7 @@ def test_without_errors_nothing_is_zero_and_all_is_small() -> None:
         assert (variances < 0.01**2).all()
 
 
-def test_reading_it_more_often_changes_nothing() -> None:
+def test_reading_odometry_more_often_changes_nothing() -> None:
     one, other = OdometryErrors(SLIP), OdometryErrors(SLIP)
     for _ in range(500):
         for errors in (one, other):
@@ -114,7 +114,7 @@ def test_after_a_reset_the_pose_is_known_again() -> None:
     assert errors.covariance() == fresh
 
 
-def test_it_is_consistent_over_many_robots(real: tuple[DifferentialSpec, WheelOdometrySpec]) -> None:
+def test_odometry_covariance_is_consistent_over_many_robots(real: tuple[DifferentialSpec, WheelOdometrySpec]) -> None:
     """At five times within 34 s, the mean NEES of 50 robots of one make, each with its own dimensions and slip, is within its bounds."""
     drive, believed = real
     rng = np.random.default_rng(7)

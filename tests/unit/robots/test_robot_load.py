@@ -67,7 +67,7 @@ def test_links_carry_the_body_name_where_the_scene_needs_it(load: Load) -> None:
     assert robot.links[0] == "base"
 
 
-def test_fixed_and_moving_joints_are_told_apart(load: Load) -> None:
+def test_fixed_and_moving_joints_are_distinguished(load: Load) -> None:
     robot = load("")
     assert [(parent, child) for parent, child, _ in robot.fixed_transforms] == [("base", "eye"), ("eye", "eye_optical_frame")]
     assert robot.moving_joints == (("jl", "base", "l"), ("jr", "base", "r"))
@@ -247,7 +247,7 @@ def test_home_of_an_unknown_user_is_a_path_without_a_robot(name: str) -> None:
         find_robot_file(name)
 
 
-def test_a_robot_whose_meshes_are_all_missing_says_so(tmp_path: Path) -> None:
+def test_a_robot_whose_meshes_are_all_missing_is_reported(tmp_path: Path) -> None:
     mesh = '<geometry><mesh filename="package://nowhere/x.stl"/></geometry>'
     (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="base"><collision>{mesh}</collision></link></robot>')
     (tmp_path / "robot.yaml").write_text("urdf: r.urdf\n")

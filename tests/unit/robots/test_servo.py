@@ -27,7 +27,7 @@ def along(x: float, y: float = 0.0) -> F64:
     return np.array([x, y, 0.0, 0.0, 0.0, 0.0])
 
 
-def test_joints_share_the_way_and_what_is_impossible_is_left_out() -> None:
+def test_joints_share_the_motion_and_impossible_directions_are_left_out() -> None:
     twist = along(0.2, 0.1)
     twist[2] = 5.0
     assert speeds(twist) == pytest.approx([0.1, 0.1, 0.1], abs=1e-6)

@@ -164,7 +164,7 @@ def test_impossible_goal_is_refused_with_a_reason(rig: Rig, asked: Any, reason: 
     assert reason in rig.warnings[-1]
 
 
-def test_what_the_arm_cannot_do_ends_the_goal(rig: Rig) -> None:
+def test_impossible_motion_of_the_arm_ends_the_goal(rig: Rig) -> None:
     goal = rig.accept(rig.of_arm, request("turn", 9.0))
     rig.ticks(1)
     assert (goal.status, goal.result.error_code) == ("aborted", -1)

@@ -26,7 +26,7 @@ CAMERA = CameraSpec("camera", "r/base_link", outputs=("rgb", "depth", "normal"))
         ({POINTS}, ("rgb", "depth")),
     ],
 )
-def test_what_is_drawn_are_the_outputs_that_the_messages_are_made_of(wanted: set[str], outputs: tuple[str, ...]) -> None:
+def test_only_outputs_needed_for_the_messages_are_drawn(wanted: set[str], outputs: tuple[str, ...]) -> None:
     drawn = CameraMessages(CAMERA, RenderConfig()).to_draw(frozenset(wanted))
     assert drawn is not None
     assert drawn.outputs == outputs

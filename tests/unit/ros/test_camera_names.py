@@ -12,7 +12,7 @@ def test_topics_stand_below_the_cameras_name() -> None:
     assert names.compressed_depth_topic(topics["depth"]) == "left/camera/depth/image_raw/compressedDepth"
 
 
-def test_what_repeats_another_topic_is_derived_and_images_are_not() -> None:
+def test_topics_that_repeat_another_topic_are_derived_and_images_are_not() -> None:
     rgb, depth = (names.camera_topics("camera")[output] for output in ("rgb", "depth"))
     repeated = [names.compressed_topic(rgb), names.compressed_depth_topic(depth), names.points_topic("camera")]
     assert all(map(names.is_derived, [*repeated, *names.registered_depth_topics("camera")]))

@@ -46,7 +46,7 @@ def test_a_rule_with_a_period_asks_once_in_each() -> None:
 @pytest.mark.parametrize(
     "text", ["", "cmd_vel", "cmd_vel after", "cmd_vel every 0", "a=cmd_vel after scan", "cmd_vel after scan; b"]
 )
-def test_a_text_that_is_no_rule_is_refused(text: str) -> None:
+def test_an_invalid_rule_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="answers is"):
         parse_rule(text)
 
@@ -60,13 +60,13 @@ def test_each_collision_is_noted_once_with_its_time() -> None:
     assert [str(one) for one in log.collisions] == ["wall (base, at 2.00 s)", "wall (base, at 4.00 s)"]
 
 
-def test_of_several_collisions_in_a_tick_all_that_are_known_are_noted() -> None:
+def test_all_known_collisions_of_a_tick_are_noted() -> None:
     log = CollisionLog("robot")
     log.add(1.0, 2, ("base", "box"), [("base", "box"), ("base", "chair"), ("wheel", "floor")])
     assert [(one.link, one.body) for one in log.collisions] == [("base", "chair"), ("base", "box")]
 
 
-def test_a_reset_begins_the_count_anew() -> None:
+def test_a_reset_restarts_the_count() -> None:
     log = CollisionLog("robot")
     log.add(1.0, 1, ("base", "wall"))
     log.clear()

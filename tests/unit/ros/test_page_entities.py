@@ -1,4 +1,4 @@
-"""What a page is told about entities and rooms, from the services of any simulator."""
+"""Entities and rooms on the page, from the services of any simulator."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_an_entity_has_its_pose_its_floor_and_once_it_is_known_its_class(entitie
     assert sorted(request.entity for request in services.calls) == ["cup", "robot"], "each class is asked for once"
 
 
-def test_classes_are_asked_for_a_few_at_a_time(entities: Entities, services: Services) -> None:
+def test_classes_are_requested_a_few_at_a_time(entities: Entities, services: Services) -> None:
     services.waits = True
     states = _states(**{f"cup_{k}": (0.0, 0.0, 0.0, 0.0) for k in range(20)})
     for _ in range(3):
@@ -94,7 +94,7 @@ def test_classes_are_asked_for_a_few_at_a_time(entities: Entities, services: Ser
     assert len(services.calls) == 16
 
 
-def test_an_entity_of_the_same_name_that_comes_back_is_asked_for_again(entities: Entities, services: Services) -> None:
+def test_an_entity_respawned_under_the_same_name_is_requested_again(entities: Entities, services: Services) -> None:
     for states in (_states(cup=(0.0, 0.0, 0.0, 0.0)), _states(), _states(cup=(0.0, 0.0, 0.0, 0.0))):
         entities.values(states, ())
     assert len(services.calls) == 2
@@ -115,7 +115,7 @@ def test_a_room_is_a_box_around_its_pose_without_the_prefix_of_its_floor(entitie
     assert entities.rooms(poses) == [{"name": "study", "floor": 1, "low": [9.0, 19.5], "high": [12.0, 21.5]}]
 
 
-def test_rooms_of_another_world_are_asked_for_again(entities: Entities, services: Services) -> None:
+def test_rooms_of_another_world_are_requested_again(entities: Entities, services: Services) -> None:
     for name in ("floor_0/hall", "floor_0/kitchen"):
         entities.rooms(_poses((name, ("room",))))
     assert [request.name for request in services.calls] == ["floor_0/hall", "floor_0/kitchen"]

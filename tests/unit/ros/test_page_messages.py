@@ -1,4 +1,4 @@
-"""What the live page makes of messages: numbers to plot, images to draw, topics to record."""
+"""Conversion of messages for the live page: numbers to plot, images to draw, topics to record."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_number_is_found_by_its_path_and_nothing_else_is() -> None:
             parse_path(path)
 
 
-def test_what_is_plotted_leaves_the_topic_of_commands_free_and_large_messages_out() -> None:
+def test_plotting_skips_the_command_topic_and_large_messages() -> None:
     graph = [
         ("/odom", ["nav_msgs/msg/Odometry"]), ("/cmd_vel", ["geometry_msgs/msg/Twist"]), ("/a", ["x/msg/A", "x/msg/B"]),
         ("/left/cmd_vel", ["geometry_msgs/msg/TwistStamped"]), ("/image", ["sensor_msgs/msg/Image"]),
@@ -49,7 +49,7 @@ def test_what_is_plotted_leaves_the_topic_of_commands_free_and_large_messages_ou
     assert plottable(graph) == {"/odom": "nav_msgs/msg/Odometry"}
 
 
-def test_what_has_no_numbers_besides_its_times_is_not_plotted() -> None:
+def test_messages_without_numbers_besides_stamps_are_not_plotted() -> None:
     numeric = [
         "nav_msgs/msg/Odometry",
         "sensor_msgs/msg/JointState",

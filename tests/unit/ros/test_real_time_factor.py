@@ -7,7 +7,7 @@ import pytest
 from gibson_sim.ros.web.real_time_factor import RealTimeFactor
 
 
-def test_it_is_averaged_over_seconds() -> None:
+def test_real_time_factor_is_averaged_over_seconds() -> None:
     factor = RealTimeFactor()
     assert factor.add(0.0, 10.0) is None
     # Each look by itself would show 0.4, 1.6, 0.4, 1.6.
@@ -16,7 +16,7 @@ def test_it_is_averaged_over_seconds() -> None:
     assert shown == pytest.approx([0.4, 1.0, 0.8, 1.2, 0.8])
 
 
-def test_a_reset_and_an_end_begin_anew() -> None:
+def test_a_reset_and_an_end_restart_the_average() -> None:
     factor = RealTimeFactor()
     factor.add(0.0, 10.0)
     assert factor.add(1.0, 0.0) is None and factor.add(2.0, 2.0) == pytest.approx(2.0)

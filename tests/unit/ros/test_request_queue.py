@@ -51,7 +51,7 @@ def loop() -> Loop:
     return Loop()
 
 
-def test_what_reads_nothing_is_done_at_once(loop: Loop) -> None:
+def test_a_request_without_reading_is_done_at_once(loop: Loop) -> None:
     assert loop.ask("a")
     assert loop.done == loop.answers == ["a"]
 

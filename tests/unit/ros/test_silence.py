@@ -1,4 +1,4 @@
-"""What a node says that waits for messages in vain."""
+"""Messages of a node that waits for messages in vain."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _told(state: int | None, *at_s: float, by_simulation: bool = True) -> list[s
     return told
 
 
-def test_a_paused_simulation_is_told_once() -> None:
+def test_a_paused_simulation_is_reported_once() -> None:
     assert _told(SimulationState.STATE_PAUSED, 102.9) == []
     told = _told(SimulationState.STATE_PAUSED, 103.1, 104.0, 110.0)
     assert len(told) == 1 and told[0].startswith("the simulation is paused") and "`gibson-sim play`" in told[0]
@@ -74,7 +74,7 @@ def test_a_paused_simulation_is_not_the_reason_for_the_silence_of_another_node()
     assert _told(None, 103.1, by_simulation=False) == ["waiting"]
 
 
-def test_nothing_is_told_once_a_message_has_come() -> None:
+def test_nothing_is_reported_once_a_message_has_arrived() -> None:
     told: list[str] = []
     graph: Any = Graph(SimulationState.STATE_PAUSED)
     notice = SilenceNotice(graph, told.append, None, 0.0)

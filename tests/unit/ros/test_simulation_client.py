@@ -55,7 +55,7 @@ class Answering:
         (Move("ball", 1.0, 2.0, 0.0), 1, True),
     ],
 )
-def test_a_code_means_what_it_means_for_its_own_service(request_: Any, code: int, ok: bool) -> None:
+def test_a_result_code_is_interpreted_by_its_service(request_: Any, code: int, ok: bool) -> None:
     told: list[bool] = []
     services = SimulationClient(Answering(code))  # type: ignore[arg-type]
     SimulationRequests(services).ask(request_, lambda good, text: told.append(good))

@@ -66,7 +66,7 @@ def test_a_misspelt_type_is_refused_with_the_most_similar(name: str, hint: str) 
     assert str(error.value) == f"type {name!r} is not installed in this environment{hint}"
 
 
-def test_text_that_is_not_yaml_is_said_once() -> None:
+def test_invalid_yaml_is_reported_once() -> None:
     with pytest.raises(GibsonSimError) as error:
         parse_values("{filters: {filter: ")
     assert str(error.value).startswith("'{filters: {filter: ': is not YAML: line ") and str(error.value).count("not YAML") == 1

@@ -1,4 +1,4 @@
-"""What the command line says of names that are not in the graph."""
+"""Hints of the command line for names that are not in the graph."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_wrong_node_is_named_with_the_nearest_node() -> None:
     assert _missing("/x/get_parameters", PARAMETERS, SIMULATION) == "node '/x' does not exist; known: /physics, /render"
 
 
-def test_a_standard_service_without_a_simulation_says_that_none_runs() -> None:
+def test_a_standard_service_without_a_simulation_reports_that_none_runs() -> None:
     expected = "no simulation runs in ROS domain 105; start one with `gibson-sim run`"
     assert _missing("/spawn_entity", "simulation_interfaces/srv/SpawnEntity", {}) == expected
     others = {"/talker/get_parameters": [PARAMETERS]}
@@ -44,7 +44,7 @@ def test_a_standard_service_without_a_simulation_says_that_none_runs() -> None:
     assert _missing("/physics/get_parameters", PARAMETERS, {}) == expected
 
 
-def test_a_node_without_a_simulation_says_that_none_runs_beside_other_nodes() -> None:
+def test_a_node_without_a_simulation_reports_that_none_runs_beside_other_nodes() -> None:
     others = {"/talker/get_parameters": [PARAMETERS]}
     assert _missing("/physics/get_parameters", PARAMETERS, others) == (
         "node '/physics' does not exist; no simulation runs in ROS domain 105; start one with `gibson-sim run`"
@@ -52,7 +52,7 @@ def test_a_node_without_a_simulation_says_that_none_runs_beside_other_nodes() ->
     assert _missing("/talkr/get_parameters", PARAMETERS, others) == "node '/talkr' does not exist; did you mean '/talker'?"
 
 
-def test_a_node_without_parameter_services_is_not_said_to_be_missing() -> None:
+def test_a_node_without_parameter_services_is_not_reported_as_missing() -> None:
     text = missing_service("/tool/set_parameters", PARAMETERS, {}, ["/tool"], domain=105, start="`gibson-sim run`")
     assert text.startswith("node '/tool' offers no parameters; ")
 
@@ -82,7 +82,7 @@ def test_a_wrong_service_of_a_simulation_suggests_the_nearest() -> None:
         ("/spawn_entity", ["spawn_entity"], "none"),
     ],
 )
-def test_only_a_near_and_other_name_is_suggested(name: str, known: list[str], found: str) -> None:
+def test_only_a_similar_and_different_name_is_suggested(name: str, known: list[str], found: str) -> None:
     assert suggestion(name, known, "none") == found
 
 
@@ -106,7 +106,7 @@ def test_the_name_of_a_resource_finds_the_entities_that_it_was_spawned_as() -> N
 
 
 @pytest.mark.parametrize("name", ["/a b", "/a//b", "1x", "/9", "/a{b}", "/a-b", "/a/", "/", "~", "/\u00e4", "a\n"])
-def test_what_is_no_name_in_ros_is_refused_in_one_line(name: str) -> None:
+def test_an_invalid_ros_name_is_refused_in_one_line(name: str) -> None:
     with pytest.raises(ConfigError, match="is not a ROS name: letters"):
         check_name("topic", name)
 
@@ -117,5 +117,5 @@ def test_an_empty_name_is_refused_as_empty() -> None:
 
 
 @pytest.mark.parametrize("name", ["odom", "/odom", "/robot_1/scan", "_hidden", "~/x", "/view_top/image_raw"])
-def test_names_of_ros_are_taken(name: str) -> None:
+def test_valid_ros_names_are_accepted(name: str) -> None:
     check_name("topic", name)

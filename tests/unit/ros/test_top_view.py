@@ -60,7 +60,7 @@ def test_no_rate_in_simulation_time_while_it_stands_still() -> None:
     assert line.split() == ["/a", "2.0", "-", "0.0", "0", "b/msg/C"]
 
 
-def test_without_a_clock_and_without_reports_it_says_so() -> None:
+def test_missing_clock_and_missing_reports_are_reported() -> None:
     text = render(Overview(7, None, 1.0, 0.0, 1))
     assert "no messages" in text
     assert "no node has reported" in text

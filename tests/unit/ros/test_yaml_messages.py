@@ -49,7 +49,7 @@ def test_arrays_can_be_in_one_line() -> None:
     assert yaml.safe_load(yaml_text(transforms, inline=True)) == yaml.safe_load(yaml_text(transforms))
 
 
-def test_what_is_printed_is_yaml_that_fills_the_same_message() -> None:
+def test_printed_yaml_fills_an_equal_message() -> None:
     given = {"transforms": [{"child_frame_id": "it's", "transform": {"rotation": {"w": 0.5}}}, {"header": {"frame_id": "a: b"}}]}
     message = fill(TFMessage(), given)
     assert fill(TFMessage(), yaml.safe_load(yaml_text(message, whole=True))) == message

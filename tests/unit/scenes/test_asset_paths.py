@@ -64,7 +64,7 @@ def test_a_robot_is_found_by_its_name(root: Path) -> None:
     assert moved.visuals[0].shape.mesh == str(root / "config/robots/gibson_bot/gibson_bot.urdf")
 
 
-def test_a_file_that_is_nowhere_is_named_with_what_to_do() -> None:
+def test_a_missing_file_is_named_with_the_remedy() -> None:
     with pytest.raises(SceneNotFoundError, match=r"^/opt/other/scenes/shop9/a\.obj is a file .* 'asset_roots'"):
         with_local_files(_scene("/opt/other/scenes/shop9/a.obj"))
 

@@ -102,7 +102,7 @@ def test_scan_without_triangles_is_an_error() -> None:
         simplify_scan(np.zeros((3, 3)), np.zeros((0, 3), dtype=int))
 
 
-def test_second_start_takes_what_the_first_one_made(
+def test_second_start_uses_the_cache_of_the_first(
     scan: Mesh, simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     made: list[int] = []
@@ -116,7 +116,7 @@ def test_second_start_takes_what_the_first_one_made(
     assert len(made) == 2
 
 
-def test_damaged_cache_is_made_again(scan: Mesh, simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damaged_cache_is_recomputed(scan: Mesh, simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scan_module, "simplify_scan", lambda *_: simple)
     first = scan_shapes(*scan, "room", folder=tmp_path)
     (record,) = tmp_path.glob(f"*/{RECORD}")
@@ -140,7 +140,9 @@ def _scene(folder: Path, line: str) -> Path:
     return folder
 
 
-def test_scene_asks_for_it_in_a_word(simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scene_requests_simplification_by_a_keyword(
+    simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(scan_module, "simplify_scan", lambda *_: simple)
     (tmp_path / "scan").mkdir()

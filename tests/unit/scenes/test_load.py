@@ -20,7 +20,7 @@ def test_missing_folder_is_not_found(tmp_path: Path) -> None:
         load_scene(tmp_path / "nowhere")
 
 
-def test_empty_folder_says_what_could_stand_in_it(tmp_path: Path) -> None:
+def test_empty_folder_error_lists_the_accepted_files(tmp_path: Path) -> None:
     with pytest.raises(SceneNotFoundError, match=r"no scene.yaml, SDF world.*\.glb"):
         load_scene(tmp_path)
 
@@ -40,7 +40,7 @@ def test_only_world_of_a_folder_is_used_whatever_meshes_lie_beside(tmp_path: Pat
     assert load_scene(tmp_path).ground_z == 0.0
 
 
-def test_scene_yaml_goes_before_everything_else(tmp_path: Path) -> None:
+def test_scene_yaml_takes_precedence(tmp_path: Path) -> None:
     (tmp_path / "day.world").write_text(WORLD)
     assert load_scene(write_room(tmp_path)).name == "tiny_room"
 

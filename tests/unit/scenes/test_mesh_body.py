@@ -78,7 +78,7 @@ def test_flat_things_have_mass_and_inertia(points: list[list[float]]) -> None:
     assert (np.linalg.eigvalsh(solid.inertia) > 0).all()
 
 
-def test_it_is_drawn_and_collides_as_the_same_file(tmp_path: Path) -> None:
+def test_body_is_drawn_and_collides_as_the_same_file(tmp_path: Path) -> None:
     path = write_box_obj(tmp_path / "box.obj", (0, 0, 0), (1, 1, 1))
     model = mesh_body(path, MeshLoader((tmp_path,)))
     (link,) = model.links

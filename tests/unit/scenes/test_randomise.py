@@ -90,7 +90,7 @@ def test_without_rules_nothing_changes() -> None:
     assert replace(randomise(scene, 7, Rules()), content_hash="abc") == scene
 
 
-def test_what_the_scene_says_of_a_look_stays_where_rules_are_silent() -> None:
+def test_appearance_of_the_scene_stays_where_no_rule_applies() -> None:
     scene = _scene(replace(_visual("a", "chair"), appearance=Appearance(metallic=0.7)))
     (appearance,) = _appearances(scene, rules=Rules({"chair": ClassRules(roughness=(0.2, 0.2))})).values()
     assert appearance == Appearance(metallic=0.7, roughness=0.2)
@@ -226,6 +226,6 @@ def test_a_mistake_is_named(tmp_path: Path, text: str, words: str) -> None:
     assert "rules.yaml" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="cannot be read"):
         load_rules(tmp_path / "none.yaml")

@@ -60,7 +60,7 @@ def test_bed_stands_where_the_world_file_says(house: SceneSpec) -> None:
     assert any(c.name.startswith("Bed_01") for c in house.collisions)
 
 
-def test_what_the_house_lacks_is_named(house: SceneSpec) -> None:
+def test_missing_assets_of_the_house_are_named(house: SceneSpec) -> None:
     assert any("aws_Carpet_01.png" in w for w in house.warnings)
     assert any("PortraitA_01" in w and "left out" in w for w in house.warnings)
 
@@ -96,7 +96,7 @@ def _agreement(floor_map: FloorMap, points: NDArray[np.float64]) -> tuple[float,
     return float((~floor_map.occupied[tuple(cells.T)]).mean()), len(cells)
 
 
-def test_what_a_real_robot_drove_over_is_not_occupied(house_map: FloorMap, slam_free: NDArray[np.float64]) -> None:
+def test_floor_that_a_real_robot_drove_over_is_not_occupied(house_map: FloorMap, slam_free: NDArray[np.float64]) -> None:
     share, count = _agreement(house_map, slam_free)
     assert count > 60_000
     assert share > 0.97

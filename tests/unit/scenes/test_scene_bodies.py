@@ -1,4 +1,4 @@
-"""The list ``bodies`` of a scene.yaml: its movable things."""
+"""The list ``bodies`` of a scene.yaml: its movable objects."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def test_the_same_seed_gives_the_same_files_and_another_gives_other_poses(furnis
     assert first[:2] == other[:2] and first[2] != other[2]
 
 
-def test_files_that_no_longer_fit_are_told(furnished: Path) -> None:
+def test_outdated_files_are_reported(furnished: Path) -> None:
     write_scene_files(furnished)
     text = (furnished / "scene.yaml").read_text()
     (furnished / "scene.yaml").write_text(

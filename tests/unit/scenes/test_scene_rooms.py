@@ -67,14 +67,14 @@ def test_a_scene_returns_the_room_at_a_place(tmp_path: Path) -> None:
         (f"{KITCHEN}, {KITCHEN}", "'kitchen' is used twice"),
     ],
 )
-def test_a_room_that_is_none_is_refused_in_one_line(tmp_path: Path, rooms: str, words: str) -> None:
+def test_an_invalid_room_is_refused_in_one_line(tmp_path: Path, rooms: str, words: str) -> None:
     with pytest.raises(SceneError, match=words) as caught:
         _load(tmp_path, rooms)
     assert "scene.yaml: rooms[" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_named_poses_of_rooms_say_what_the_scene_calls_them(tmp_path: Path) -> None:
+def test_named_poses_of_rooms_have_the_names_in_the_scene(tmp_path: Path) -> None:
     folder = write_room(
         tmp_path / "room", "rooms: [{name: den, class: living_room, polygon: [[-2, -2], [2, -2], [2, 2], [-2, 2]]}]\n"
     )

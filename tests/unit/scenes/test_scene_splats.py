@@ -64,6 +64,6 @@ def test_a_mistake_is_one_line_that_names_the_file_and_the_place(tmp_path: Path,
     assert "scene.yaml: visual" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_scale_that_cannot_be_is_refused() -> None:
+def test_an_impossible_scale_is_refused() -> None:
     with pytest.raises(ConfigError, match="splats: scale is 0"):
         SplatsSpec("/a.ply", scale=0.0)

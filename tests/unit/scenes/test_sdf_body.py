@@ -303,7 +303,7 @@ def test_plane_of_a_model_that_moves_is_not_supported(tmp_path: Path) -> None:
         ("".join(f'<link name="l{k}"/>' for k in range(501)), "500 links"),
     ],
 )
-def test_models_without_a_sense_are_refused(tmp_path: Path, content: str, words: str) -> None:
+def test_invalid_models_are_refused(tmp_path: Path, content: str, words: str) -> None:
     with pytest.raises(SceneError, match=words):
         _read(tmp_path, content)
 

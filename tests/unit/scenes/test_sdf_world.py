@@ -229,7 +229,7 @@ def test_class_is_made_of_the_name_of_the_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["<sdf", "<sdf version='1.6'/>", "<robot/>"])
-def test_file_that_is_no_world_is_refused(tmp_path: Path, text: str) -> None:
+def test_file_without_a_world_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "w.world").write_text(text)
     with pytest.raises(SceneError, match=r"w\.world"):
         load_scene(tmp_path / "w.world")

@@ -87,14 +87,14 @@ def test_uri_wins_over_text(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("write", ["model.sdf", "model-1_7.sdf"])
-def test_model_folder_is_read_as_its_config_says(tmp_path: Path, write: str) -> None:
+def test_model_folder_is_read_by_its_config_file(tmp_path: Path, write: str) -> None:
     _write(tmp_path / "lamp" / write, _sdf())
     _write(tmp_path / "lamp" / "model.config", f"<model><sdf version='1.7'>{write}</sdf></model>")
     assert _body(str(tmp_path / "lamp")).model.name == "lamp"
     assert _body(str(tmp_path / "lamp" / "model.config")).model.name == "lamp"
 
 
-def test_folder_with_one_urdf_is_that(tmp_path: Path) -> None:
+def test_folder_with_one_urdf_is_read_as_that_urdf(tmp_path: Path) -> None:
     _write(tmp_path / "crate" / "any.urdf", _urdf())
     assert _body(str(tmp_path / "crate")).model.name == "crate"
 
@@ -198,7 +198,7 @@ def test_names_are_those_in_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("uri", ["/nowhere/x.urdf", "", "http://x/y.sdf", "/dev/zero", "\0"])
-def test_what_cannot_be_read_has_no_name(uri: str) -> None:
+def test_unreadable_descriptions_have_no_name(uri: str) -> None:
     assert spawn_name(uri, "") == ""
 
 
@@ -213,11 +213,11 @@ def test_what_cannot_be_read_has_no_name(uri: str) -> None:
         "~nobody_of_that_name/x.urdf",
     ],
 )  # fmt: skip
-def test_what_is_not_there_is_no_resource(uri: str) -> None:
+def test_missing_resource_is_no_resource(uri: str) -> None:
     assert _error(uri).code is CODES.NO_RESOURCE
 
 
-def test_nothing_given_is_no_resource() -> None:
+def test_empty_uri_and_text_are_no_resource() -> None:
     assert _error(" ", "\n").code is CODES.NO_RESOURCE
 
 
@@ -226,7 +226,7 @@ def test_unknown_name_lists_ours() -> None:
 
 
 @pytest.mark.parametrize("uri", ["/etc/passwd", "/dev/zero", "/", "/proc/self/mem"])
-def test_what_is_no_description_is_an_unsupported_format(uri: str) -> None:
+def test_other_files_are_an_unsupported_format(uri: str) -> None:
     error = _error(uri)
     assert error.code is CODES.UNSUPPORTED_FORMAT
     assert "URDF" in str(error)
@@ -331,7 +331,7 @@ def test_xacro_is_refused_with_advice(tmp_path: Path) -> None:
         assert "expand it first: xacro" in str(error)
 
 
-def test_xacro_in_a_comment_is_none() -> None:
+def test_xacro_in_a_comment_is_ignored() -> None:
     assert _body(text=_urdf().replace("<link", "<!-- <xacro:include/> --><link")).links == ("base",)
 
 
@@ -373,7 +373,7 @@ def _inertial(mass: str = "1", ixx: str = "1", xyz: str = "0 0 0") -> str:
         ("<contact><lateral_friction value='-1'/></contact>", "-1"),
     ],
 )
-def test_numbers_that_cannot_be_meant_are_named(inside: str, value: str) -> None:
+def test_implausible_numbers_are_named(inside: str, value: str) -> None:
     error = _error(text=_urdf(inside))
     assert error.code is CODES.RESOURCE_PARSE_ERROR
     assert "'base'" in str(error)
@@ -533,7 +533,7 @@ def test_broken_mesh_as_the_resource_itself_is_a_parse_error(tmp_path: Path) -> 
 # Lists
 
 
-def test_formats_are_what_the_standard_calls_them() -> None:
+def test_formats_have_the_names_of_the_standard() -> None:
     assert set(SPAWN_FORMATS) >= {"urdf", "sdf", "glb", "obj"}
 
 
@@ -570,7 +570,7 @@ def test_built_in_models_are_sorted_and_come_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("source", ["", "/nowhere", "http://example.org"])
-def test_source_that_is_not_there_is_an_error(source: str) -> None:
+def test_missing_source_is_an_error(source: str) -> None:
     with pytest.raises(SceneNotFoundError):
         find_spawnables([source])
 
@@ -610,13 +610,13 @@ def test_values_of_a_gltf_are_counted_before_they_are_read(tmp_path: Path, suffi
     assert "JSON values, must have at most 2000000" in error.public
 
 
-def test_name_of_a_model_that_means_harm_costs_no_time() -> None:
+def test_malicious_model_name_costs_no_time() -> None:
     name = "_1" * 200_000 + "x"
     assert len(class_from_model(name)) <= 200
     assert effort(lambda: class_from_model(name)) < 10.0, "going back over it takes minutes"
 
 
-def test_nodes_of_a_gltf_are_counted_before_they_are_gone_through(tmp_path: Path) -> None:
+def test_nodes_of_a_gltf_are_counted_before_they_are_traversed(tmp_path: Path) -> None:
     nodes = [{"mesh": 0}] * (10 * MAX_PARTS + 1)
     text = json.dumps({"asset": {"version": "2.0"}, "nodes": nodes, "meshes": [{"primitives": []}]})
     (tmp_path / "a.gltf").write_text(text)

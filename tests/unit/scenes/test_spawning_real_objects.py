@@ -151,13 +151,13 @@ def test_models_of_the_house_are_listed_once_each(data_dir: Path) -> None:
     assert found == sorted(path.as_uri() for path in folder.iterdir() if path.is_dir())
 
 
-def test_worlds_of_others_are_listed(data_dir: Path) -> None:
+def test_third_party_worlds_are_listed(data_dir: Path) -> None:
     found = {w.name: w.tags for w in find_worlds([str(data_dir)]) if w.uri.startswith("file:")}
     assert {"small_house", "furnished_living_room", "vr-gallery"} <= set(found)
     assert not [name for name in found if name.startswith(("aws_", "locobot_"))]
 
 
-def test_what_the_house_lacks_is_named_unless_it_may_be_left_out(data_dir: Path) -> None:
+def test_missing_assets_of_the_house_are_named_unless_ignored(data_dir: Path) -> None:
     uri = str(data_dir / "aws_small_house")
     with pytest.raises(WorldError) as caught:
         load_world(uri, "")

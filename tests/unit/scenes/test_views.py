@@ -44,7 +44,7 @@ def _pixel(camera: CameraSpec, pose: Pose, point: tuple[float, float, float]) ->
     return float(u / w), float(v / w)
 
 
-def test_a_follower_stands_behind_and_above_and_has_the_robot_in_the_middle() -> None:
+def test_a_chase_camera_is_behind_and_above_the_robot_and_centres_it() -> None:
     view = Follow(distance=2.0, height=1.5, look_at=0.5)
     pose = view.camera_pose(pose_from_xyz_rpy((1.0, 2.0, 0.1), (0.0, 0.0, math.pi / 2)), 0)
     assert pose.position == pytest.approx((1.0, 0.0, 1.6))
@@ -53,13 +53,13 @@ def test_a_follower_stands_behind_and_above_and_has_the_robot_in_the_middle() ->
     assert u > 199.5 and v < 149.5, "right of the robot is on the right, and what is higher is above"
 
 
-def test_a_follower_of_a_robot_that_tips_stays_level() -> None:
+def test_a_chase_camera_of_a_tipping_robot_stays_level() -> None:
     tipped = matrix_from_pose(Follow().camera_pose(pose_from_xyz_rpy((0.0, 0.0, 0.0), (0.4, -0.6, 0.3)), 0))
     assert tipped[2, 0] == pytest.approx(0.0, abs=1e-12)
     assert tipped[0, 3] == pytest.approx(-1.8 * math.cos(math.atan2(tipped[1, 3], tipped[0, 3]) + math.pi))
 
 
-def test_a_follower_leaves_out_what_is_between_but_nothing_of_the_floor() -> None:
+def test_a_chase_camera_hides_objects_in_between_but_never_the_floor() -> None:
     view = Follow()
     _, near = view.resolve(CAMERA, lambda: FLOOR)
     pose = view.camera_pose(Pose(), 0)
@@ -118,7 +118,7 @@ def test_a_view_may_go_with_a_single_link() -> None:
     assert _views("top:left/wheel").cameras[0].name == "view_top_left_wheel"
 
 
-def test_a_view_whose_target_is_gone_is_left_out_and_says_why() -> None:
+def test_a_view_without_its_target_is_left_out_with_the_reason() -> None:
     views = _views("follow:right,top", _scene(links=("left/base",)))
     assert [camera.name for camera in views.cameras] == ["view_top"]
     assert views.absent == {"view_follow_right": "view 'view_follow_right': there is no body 'right'; it can follow: left"}
@@ -140,12 +140,12 @@ def test_a_view_does_not_take_the_name_of_a_camera() -> None:
         ("nowhere.yaml", "cannot be read"),
     ],
 )
-def test_a_list_that_is_wrong_is_refused_in_words(text: str, words: str) -> None:
+def test_an_invalid_list_is_refused_with_a_reason(text: str, words: str) -> None:
     with pytest.raises(GibsonSimError, match=words):
         read_views(text)
 
 
-def test_a_file_says_all_of_a_view(tmp_path: Path) -> None:
+def test_a_file_sets_every_field_of_a_view(tmp_path: Path) -> None:
     path = tmp_path / "views.yaml"
     path.write_text(
         "cameras:\n"
@@ -178,7 +178,7 @@ def test_a_file_says_all_of_a_view(tmp_path: Path) -> None:
         ("view: follow, width: 0", "image size is 0x480"),
     ],
 )
-def test_an_entry_that_is_wrong_is_refused_in_words(tmp_path: Path, entry: str, words: str) -> None:
+def test_an_invalid_entry_is_refused_with_a_reason(tmp_path: Path, entry: str, words: str) -> None:
     path = tmp_path / "views.yaml"
     path.write_text(f"cameras:\n- {{name: eye, {entry}}}\n")
     with pytest.raises(RobotError, match=words):
@@ -199,7 +199,7 @@ def test_a_fisheye_does_not_look_down_on_a_floor() -> None:
 
 
 @pytest.mark.parametrize("size", ["640", "640x", "0x480", "640x480x3", "axb"])
-def test_a_size_that_is_none_is_refused(size: str) -> None:
+def test_an_invalid_size_is_refused(size: str) -> None:
     with pytest.raises(ConfigError, match="must be WIDTHxHEIGHT"):
         PhysicsConfig(view_size=size)
 

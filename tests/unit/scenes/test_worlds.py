@@ -76,7 +76,7 @@ def test_models_of_a_text_come_from_the_path_of_gibson_sim(tmp_path: Path, monke
     assert [v.name for v in load_world("", _sdf("<include><uri>model://chair</uri></include>")).visuals] == ["chair"]
 
 
-def test_nothing_lies_beside_a_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_text_world_cannot_name_local_mesh_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_square_obj(tmp_path, "t.png")
     monkeypatch.chdir(tmp_path)
     for name in ("square.obj", str(tmp_path / "square.obj")):
@@ -88,7 +88,7 @@ def test_nothing_lies_beside_a_text(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     "uri", ["", "nowhere_at_all", "/nowhere", "file:///nowhere.sdf", "http://example.org/w.sdf", "x\0y", "/" + "x" * 300]
 )
-def test_what_is_not_there_is_no_resource(uri: str) -> None:
+def test_missing_world_is_no_resource(uri: str) -> None:
     assert _error(uri).code is CODES.NO_RESOURCE
 
 
@@ -115,7 +115,7 @@ def test_mistake_in_scene_yaml_is_a_parse_error(tmp_path: Path) -> None:
     assert _error(str(_write(tmp_path / "scene.yaml", "objektes: []\n"))).code is CODES.RESOURCE_PARSE_ERROR
 
 
-def test_missing_and_broken_meshes_of_scene_yaml_are_told_apart(tmp_path: Path) -> None:
+def test_missing_and_broken_meshes_of_scene_yaml_are_distinguished(tmp_path: Path) -> None:
     path = _write(tmp_path / "scene.yaml", "objects: [{mesh: a.obj}]\n")
     assert _error(str(path)).code is CODES.MISSING_ASSETS
     (tmp_path / "a.obj").write_text("v 1 x\n")
@@ -229,7 +229,7 @@ def test_worlds_of_a_folder_are_listed_and_can_be_loaded(tmp_path: Path) -> None
     assert load_world(found[3].uri, "").name == "house"
 
 
-def test_source_that_is_not_there_is_an_error_unless_it_may_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_source_is_an_error_unless_it_may_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = _write(tmp_path / "yard.world", _sdf())
     sources = [str(tmp_path / "gone"), path.as_uri()]
     with pytest.raises(WorldError, match="gone") as caught:

@@ -22,7 +22,7 @@ def joints(*work: tuple[float, float]) -> JointStates:
 
 @pytest.mark.parametrize("spec", [PLAIN, FALLING])
 @pytest.mark.parametrize("steps", [1, 100])
-def test_it_is_empty_at_the_computed_time(spec: BatterySpec, steps: int) -> None:
+def test_battery_is_empty_at_the_computed_time(spec: BatterySpec, steps: int) -> None:
     battery = Battery(spec)
     almost = [battery.drain(20.0, 3599.0 / steps, 0) for _ in range(steps)][-1]
     assert not almost.empty
@@ -54,7 +54,7 @@ def test_empty_battery_gives_no_current_and_stays_empty() -> None:
     assert (reading.empty, reading.low, reading.percentage, reading.current, reading.voltage) == (True, True, 0.0, 0.0, 8.0)
 
 
-def test_it_is_low_below_the_level_of_warning() -> None:
+def test_battery_is_low_below_the_warning_level() -> None:
     battery = Battery(PLAIN)
     assert not battery.drain(20.0, 2879.0, 0).low  # 20.03 %
     assert battery.drain(20.0, 2.0, 0).low  # 19.97 %

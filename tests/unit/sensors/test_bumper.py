@@ -25,7 +25,7 @@ def read(*contacts: Contact, spec: BumperSpec = SPEC, yaw: float = 0.0, at: Vec3
     return measure_bumper(spec, SceneState(9, 1, 1, ("r/base",), np.array([at]), quat, np.zeros((1, 6))), contacts)
 
 
-def test_nothing_touched_is_not_pressed() -> None:
+def test_bumper_without_contact_is_not_pressed() -> None:
     reading = read()
     assert (reading.pressed, reading.links, reading.total) == (False, (), 0.0)
     assert reading.force.tolist() == [0.0, 0.0, 0.0]

@@ -62,12 +62,12 @@ def test_a_wall_has_no_holes_in_a_target_three_times_as_fine() -> None:
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
-def test_what_has_no_depth_is_left_out(value: float) -> None:
+def test_pixels_without_depth_are_left_out(value: float) -> None:
     depth = np.full((21, 21), value, dtype=np.float32)
     assert np.isposinf(DepthRegistration(SOURCE, TARGET, np.eye(4)).image(depth)).all()
 
 
-def test_what_lies_behind_the_target_is_left_out() -> None:
+def test_points_behind_the_target_are_left_out() -> None:
     assert np.isposinf(DepthRegistration(SOURCE, TARGET, _beside(0.0, z=-3.0)).image(_one_pixel(10, 10, 2.0))).all()
 
 

@@ -80,7 +80,7 @@ def test_without_exif_data_every_reader_sees_the_pixels_of_the_sensor() -> None:
 @pytest.mark.parametrize(
     "data", [b"", b"\xff", b"\xff\xd8", b"\xff\xd8\xff\xe1\0", b"\xff\xd8\xff\xe0\0\0\xff", b"\x89PNG\r\n\x1a\n"]
 )
-def test_what_has_no_exif_data_stays_as_it_is(data: bytes) -> None:
+def test_an_image_without_exif_data_is_unchanged(data: bytes) -> None:
     assert without_exif(data) == data
 
 
@@ -107,7 +107,7 @@ def test_a_depth_of_two_metres_is_the_pixel_computed_by_hand() -> None:
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 0.0, 10.0, 25.0, 0.15])
-def test_what_is_no_depth_in_range_becomes_no_depth(value: float) -> None:
+def test_depth_out_of_range_becomes_no_depth(value: float) -> None:
     # 0.15 m would be 66324, which 16 bits do not hold.
     decoded = _decoded_depth(encode_depth(np.array([[value, 1.0]], dtype=np.float32), depth_max=10.0, quantization=100.0))
     assert np.isnan(decoded[0, 0])

@@ -120,7 +120,7 @@ def test_rays_drop_out_the_same_with_noise_and_without() -> None:
     ("beams", "angle_min", "fov"),
     [(360, 0.0, 2 * math.pi), (271, -math.radians(135), math.radians(270)), (641, -2.0, 4.0), (1081, 0.3, 1.0)],
 )
-def test_slam_counts_as_many_ranges_as_there_are(beams: int, angle_min: float, fov: float) -> None:
+def test_slam_expects_the_number_of_ranges_in_the_scan(beams: int, angle_min: float, fov: float) -> None:
     # slam_toolbox and Karto expect round((max - min) / increment) + 1, from the float32 values of the message.
     scan = measure_scan(LidarSpec("r/lidar", beams, angle_min=angle_min, fov=fov), AT_ORIGIN, box_room)
     first, last, step = (np.float32(v) for v in (scan.angle_min, scan.angle_max, scan.angle_increment))

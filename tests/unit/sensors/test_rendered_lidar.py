@@ -100,7 +100,7 @@ def test_rays_begin_along_x_and_turn_counter_clockwise_and_up() -> None:
     np.testing.assert_allclose(lidar.directions, expected, atol=1e-12)
 
 
-def test_views_are_four_for_a_usual_lidar_and_six_for_one_that_sees_everything() -> None:
+def test_a_usual_lidar_has_four_views_and_a_spherical_one_six() -> None:
     assert len(RenderedLidar("robot/lidar", SIXTEEN).views) == 4
     assert len(RenderedLidar("robot/lidar", LidarPattern(even_elevations(9, -math.pi / 2, math.pi / 2), 90)).views) == 6
     assert len(RenderedLidar("robot/lidar", LidarPattern((math.radians(60),), 90)).views) == 1
@@ -148,7 +148,7 @@ def test_sphere_is_exact_to_a_millimetre_but_at_its_rim() -> None:
     assert np.abs(got[inner] - expected[inner]).max() < 0.001
 
 
-def test_nothing_is_measured_between_a_thing_and_the_wall_behind_it() -> None:
+def test_no_point_lies_between_an_object_and_the_wall_behind_it() -> None:
     both = nearest(sphere((3.0, 0.0, 0.0), 0.5), plane((1, 0, 0), 8.0))
     got = RenderedLidar("robot/lidar", SIXTEEN).measure(state(), Formula(both)).ranges
     depth = got[:, :40] * np.cos(np.arange(40) * 2 * math.pi / 360) * np.cos(np.array(SIXTEEN.elevations))[:, None]

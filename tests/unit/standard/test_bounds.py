@@ -35,7 +35,7 @@ def test_empty_bounds_are_everywhere() -> None:
         ((5.0, 5.0, 1.0), 4.99, False),
     ],
 )
-def test_sphere_overlaps_what_is_within_its_radius(center: Vec3, radius: float, overlap: bool) -> None:
+def test_sphere_overlaps_bounds_within_its_radius(center: Vec3, radius: float, overlap: bool) -> None:
     assert overlaps(BoundsType.SPHERE, center, (radius, 99.0, 99.0)) is overlap
 
 

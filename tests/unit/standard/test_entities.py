@@ -76,7 +76,7 @@ def test_namespaces_that_ros_refuses_are_refused(namespace: str) -> None:
     assert error.value.code is SpawnCode.NAMESPACE_INVALID
 
 
-def test_category_is_what_a_body_can_do_and_its_class() -> None:
+def test_category_follows_from_mobility_and_class_of_a_body() -> None:
     assert initial_info(box("a", 0.0)).category is Category.DYNAMIC_OBJECT
     assert initial_info(box("a", 0.0, static=True)).category is Category.STATIC_OBJECT
     assert initial_info(box("a", 0.0, semantic_class="Person")) == EntityInfo(Category.HUMAN, "Person", ("Person",))

@@ -30,7 +30,7 @@ def test_a_tick_ends_when_all_participants_have_done_it() -> None:
     assert lockstep.is_open
 
 
-def test_a_first_command_that_never_arrives_is_given_up_and_a_later_one_is_waited_for() -> None:
+def test_a_lost_first_command_is_given_up_and_later_ones_are_awaited() -> None:
     lockstep = joined("a")
     lockstep.begin_tick(10, (), 0)
     lockstep.tick_done("a", 10, ("cmd_vel",), 1)
@@ -145,7 +145,7 @@ def ticks_that_wait(lockstep: Lockstep, stamps_ms: range) -> list[int]:
     return waited
 
 
-def test_the_period_begins_anew_with_a_message_between_the_ticks_that_wait() -> None:
+def test_a_message_between_waiting_ticks_restarts_the_period() -> None:
     lockstep = nav("cmd_vel every 0.05")
     assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
     lockstep.receive("cmd_vel", 0)  # after the tick at 60 ms: the node wakes at another time than time 0 would suggest
@@ -196,7 +196,7 @@ def test_an_answer_after_each_scan_from_the_initial_pose_on() -> None:
     assert lockstep.is_open
 
 
-def test_one_that_has_answered_and_is_silent_rests_until_its_next_goal() -> None:
+def test_a_silent_participant_that_has_answered_rests_until_its_next_goal() -> None:
     lockstep = nav()
     lockstep.receive("goal_pose", 0)
     assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
@@ -210,7 +210,7 @@ def test_one_that_has_answered_and_is_silent_rests_until_its_next_goal() -> None
     assert ticks_that_wait(lockstep, range(410, 501, 10)) == [450, 500]
 
 
-def test_one_that_has_never_answered_has_twice_the_time() -> None:
+def test_a_participant_that_has_never_answered_has_twice_the_time() -> None:
     lockstep = nav()
     lockstep.receive("goal_pose", 0)
     lockstep.begin_tick(50 * MS, (), 1000)
@@ -218,14 +218,14 @@ def test_one_that_has_never_answered_has_twice_the_time() -> None:
     assert lockstep.idle_silent(1000 + 11, 5) == ("nav",)
 
 
-def test_one_without_from_never_rests() -> None:
+def test_a_participant_without_from_never_rests() -> None:
     lockstep = nav("cmd_vel every 0.05")
     lockstep.begin_tick(50 * MS, (), 0)
     assert lockstep.idle_silent(10**12, 5) == ()
     assert not lockstep.is_open
 
 
-def test_one_that_answers_while_it_rests_was_slow_and_is_named() -> None:
+def test_a_participant_that_answers_while_it_rests_is_reported_as_slow() -> None:
     lockstep = nav()
     lockstep.receive("goal_pose", 0)
     assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
@@ -236,7 +236,7 @@ def test_one_that_answers_while_it_rests_was_slow_and_is_named() -> None:
     assert ticks_that_wait(lockstep, range(120, 211, 10)) == [160, 210]
 
 
-def test_one_that_begins_with_its_own_first_message_is_not_called_slow() -> None:
+def test_a_participant_that_begins_with_its_own_first_message_is_not_reported_as_slow() -> None:
     lockstep = nav("cmd_vel every 0.05 from cmd_vel")
     assert ticks_that_wait(lockstep, range(10, 101, 10)) == []
     assert lockstep.receive("cmd_vel", 0) == ()
@@ -332,11 +332,11 @@ def test_waiting_times_are_counted_for_each_participant() -> None:
         "n=b after c every 1",
     ],
 )
-def test_what_is_no_rule_is_refused_with_the_form_that_is_allowed(text: str) -> None:
+def test_an_invalid_rule_is_refused_with_the_allowed_form(text: str) -> None:
     with pytest.raises(ConfigError, match="cmd_vel after odom"):
         parse_participants(text)
 
 
-def test_a_name_twice_is_refused() -> None:
+def test_a_duplicate_name_is_refused() -> None:
     with pytest.raises(ConfigError, match="'a' twice"):
         parse_participants("a; a=cmd_vel after odom")

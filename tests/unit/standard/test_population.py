@@ -77,7 +77,7 @@ def test_unknown_entity_is_not_found_and_the_known_ones_are_named(people: Popula
         assert code_of(error) is Result.NOT_FOUND
 
 
-def test_info_is_what_was_set(people: Population) -> None:
+def test_entity_info_can_be_set_and_filtered_by(people: Population) -> None:
     info = EntityInfo(Category.OBJECT, "for the move", ("wood", "empty"))
     people.set_info("crate", info)
     assert people.entity("crate").info == info
@@ -92,7 +92,7 @@ def test_moved_entity_has_the_pose_and_velocity_that_were_set(people: Population
     assert (*state.linear, *state.angular) == pytest.approx((0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
 
 
-def test_only_what_is_to_be_set_changes(people: Population) -> None:
+def test_only_flagged_parts_of_the_state_change(people: Population) -> None:
     people.set_state("crate", StateChange(linear=(1.0, 0.0, 0.0), set_pose=False))
     people.set_state("crate", StateChange("", (0.0, 7.0, 1.0), set_twist=False))
     assert people.state("crate").pose.position == pytest.approx((0.0, 7.0, 1.0))
@@ -131,7 +131,7 @@ def test_entity_at_rest_in_a_turning_frame_moves_with_it(people: Population) -> 
         StateChange("../anna"),
     ],
 )
-def test_pose_that_is_none_is_refused_and_nothing_moves(people: Population, change: StateChange) -> None:
+def test_invalid_pose_is_refused_and_nothing_moves(people: Population, change: StateChange) -> None:
     before = people.state("crate")
     with pytest.raises(SimulationError) as error:
         people.set_state("crate", change)
@@ -217,9 +217,7 @@ def test_spawn_pose_may_be_relative_to_an_entity(people: Population) -> None:
         (SpawnRequest("x", text=BALL, frame_id="odom"), SpawnCode.INVALID_POSE),
     ],
 )
-def test_what_cannot_be_spawned_is_refused_and_leaves_nothing(
-    people: Population, request_: SpawnRequest, code: SpawnCode
-) -> None:
+def test_invalid_spawn_is_refused_and_leaves_nothing(people: Population, request_: SpawnRequest, code: SpawnCode) -> None:
     with pytest.raises(SimulationError) as error:
         people.spawn(request_)
     assert code_of(error) is code
@@ -251,7 +249,7 @@ def test_full_world_refuses_more(make: Callable[..., Simulator]) -> None:
     assert people.spawn(SpawnRequest("again", text=BALL)) == "again"
 
 
-def test_what_can_be_spawned_stays_where_others_fail(people: Population) -> None:
+def test_successful_spawns_stay_where_others_fail(people: Population) -> None:
     outcomes = people.spawn_all([SpawnRequest(text=BALL), SpawnRequest(text="?", name="bad"), SpawnRequest("ball2", text=BALL)])
     assert [(o.name, o.error is None) for o in outcomes] == [("ball", True), ("", False), ("ball2", True)]
     assert people.names == ("crate", "wall", "anna", "ball", "ball2")
@@ -286,7 +284,7 @@ def _spawn_ahead(people: Population, *requests: SpawnRequest) -> list[str]:
         return [people.spawn(request, found) for request, found in zip(requests, ahead, strict=True)]
 
 
-def test_what_was_read_ahead_is_not_read_again(people: Population) -> None:
+def test_file_read_ahead_is_not_read_again(people: Population) -> None:
     request = SpawnRequest(text=BALL, allow_renaming=True, position=(7.0, 1.0, 2.0))
     names = _spawn_ahead(people, request, request)
     assert len(set(names)) == 2
@@ -294,7 +292,7 @@ def test_what_was_read_ahead_is_not_read_again(people: Population) -> None:
         assert people.state(name).pose.position == (7.0, 1.0, 2.0)
 
 
-def test_what_changed_since_it_was_read_counts(people: Population) -> None:
+def test_spawn_read_ahead_uses_the_current_names_and_poses(people: Population) -> None:
     request = SpawnRequest(text=BALL, frame_id="crate", position=(0.0, 0.0, 3.0), name="ball", allow_renaming=True)
     (ahead,) = people.file_reader([request])()
     people.set_state("crate", StateChange(position=(9.0, 0.0, 0.0)))
@@ -304,7 +302,7 @@ def test_what_changed_since_it_was_read_counts(people: Population) -> None:
     assert people.state(name).pose.position[0] == pytest.approx(9.0)
 
 
-def test_error_in_what_was_read_ahead_is_raised_in_its_turn(people: Population) -> None:
+def test_error_of_a_file_read_ahead_is_raised_in_its_turn(people: Population) -> None:
     request = SpawnRequest(name="x", text="<robot name='x'><link/></robot>")
     (ahead,) = people.file_reader([request])()
     with pytest.raises(SimulationError) as late:
@@ -314,9 +312,7 @@ def test_error_in_what_was_read_ahead_is_raised_in_its_turn(people: Population) 
     assert (late.value.code, str(late.value)) == (at_once.value.code, str(at_once.value))
 
 
-def test_a_robot_that_starts_where_nothing_is_below_it_is_told(
-    make: Callable[..., Simulator], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_robot_that_starts_above_no_floor_is_reported(make: Callable[..., Simulator], caplog: pytest.LogCaptureFixture) -> None:
     floor = CollisionSpec("floor", Shape("box", (4.0, 4.0, 0.1)), Pose((0.0, 0.0, -0.05)))
     scene = replace(SCENE, ground_z=None, collisions=(floor,), bodies=())
     for x in (1.0, 100.0):
@@ -326,7 +322,7 @@ def test_a_robot_that_starts_where_nothing_is_below_it_is_told(
     assert "robot starts at 100.00,0.00, where there is nothing below it: it falls; `gibson-sim scene inspect`" in told[0]
 
 
-def test_a_robot_that_starts_outside_a_building_on_infinite_ground_is_told(
+def test_a_robot_that_starts_outside_a_building_on_infinite_ground_is_reported(
     make: Callable[..., Simulator], caplog: pytest.LogCaptureFixture
 ) -> None:
     walls = (
@@ -344,7 +340,7 @@ def test_a_robot_that_starts_outside_a_building_on_infinite_ground_is_told(
     )
 
 
-def test_a_thing_that_is_spawned_where_nothing_is_below_it_is_told(
+def test_an_object_that_is_spawned_above_no_floor_is_reported(
     make: Callable[..., Simulator], caplog: pytest.LogCaptureFixture
 ) -> None:
     people = make(replace(SCENE, ground_z=None)).population

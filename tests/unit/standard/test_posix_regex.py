@@ -74,7 +74,7 @@ def test_pattern_finds_what_posix_says(pattern: str, text: str, found: bool) -> 
         ("(((){255}){255}){255}", f"more than {MAX_STATES}"),
     ],
 )
-def test_pattern_that_is_none_is_refused_with_a_hint(pattern: str, hint: str) -> None:
+def test_invalid_pattern_is_refused_with_a_hint(pattern: str, hint: str) -> None:
     with pytest.raises(PatternError) as error:
         PosixRegex(pattern)
     assert hint in str(error.value)

@@ -61,7 +61,7 @@ def simulator() -> Iterator[Simulator]:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_refused_spawn_tells_nothing_of_the_file(
+def test_refused_spawn_reveals_nothing_of_the_file(
     simulator: Simulator, tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "empty.yaml").write_text("ground_z: 0\n")
@@ -75,14 +75,14 @@ def test_refused_spawn_tells_nothing_of_the_file(
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_refused_world_tells_nothing_of_the_file(simulator: Simulator, tmp_path: Path, name: str) -> None:
+def test_refused_world_reveals_nothing_of_the_file(simulator: Simulator, tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(WORLDS[name])
     with pytest.raises(SimulationError) as error:
         simulator.load_world(LoadRequest(str(tmp_path / name)))
     assert SECRET[:4] not in str(error.value)
 
 
-def test_reply_says_what_is_allowed_and_the_log_what_is_there(
+def test_reply_states_the_allowed_values_and_the_log_the_value_in_the_file(
     simulator: Simulator, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "scene.yaml").write_bytes(WORLDS["scene.yaml"])

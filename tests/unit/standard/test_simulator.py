@@ -55,7 +55,7 @@ def disturb(simulator: Simulator) -> None:
     simulator.population.spawn(SpawnRequest(text=BALL, position=(0.0, 5.0, 1.0)))
 
 
-def test_it_plays_at_once_or_is_stopped_if_it_starts_paused(make: Make) -> None:
+def test_simulator_plays_at_once_or_is_stopped_if_it_starts_paused(make: Make) -> None:
     assert make().state is PLAYING
     assert make(start_paused=True).state is STOPPED
     assert make(None).state is NO_WORLD
@@ -124,7 +124,7 @@ def test_quitting_stops_time_for_good(make: Make) -> None:
         (STATE | SPAWNED, 60, 1.0, False),
     ],
 )
-def test_reset_is_about_its_scope_alone(make: Make, scope: int, steps: int, x: float, ball: bool) -> None:
+def test_reset_affects_its_scope_alone(make: Make, scope: int, steps: int, x: float, ball: bool) -> None:
     simulator = make(start_paused=True)
     disturb(simulator)
     simulator.reset(scope)
@@ -136,7 +136,7 @@ def test_reset_is_about_its_scope_alone(make: Make, scope: int, steps: int, x: f
     assert simulator.last_reset == LastReset(scope or 7 if scope < 255 else 7, rewound=steps == 0)
 
 
-def test_reset_of_the_state_puts_what_was_spawned_to_where_it_was_spawned(make: Make) -> None:
+def test_reset_of_the_state_returns_spawned_entities_to_their_spawn_poses(make: Make) -> None:
     simulator = make(start_paused=True)
     disturb(simulator)
     turn(simulator, 240)
@@ -144,7 +144,7 @@ def test_reset_of_the_state_puts_what_was_spawned_to_where_it_was_spawned(make: 
     assert simulator.population.state("ball").pose.position == pytest.approx((0.0, 5.0, 1.0))
 
 
-def test_reset_of_everything_brings_back_the_deleted_in_their_order_and_forgets_set_info(make: Make) -> None:
+def test_reset_of_everything_restores_deleted_entities_in_order_and_clears_info(make: Make) -> None:
     simulator = make()
     simulator.population.delete("crate")
     simulator.population.set_info("anna", EntityInfo(Category.OBJECT, "a doll"))
@@ -235,7 +235,7 @@ def test_steps_end_when_the_state_changes_and_say_how_far_they_came(make: Make, 
     assert request.failure.endswith(f"after {STEPS_AT_ONCE} of {10**12} steps")
 
 
-def test_without_a_world_everything_says_so(make: Make) -> None:
+def test_without_a_world_every_request_fails_with_no_world(make: Make) -> None:
     simulator = make(None)
     for ask in (
         lambda: simulator.population,
@@ -370,14 +370,14 @@ def test_thousands_of_sources_are_refused_at_once() -> None:
             search(("a",) * 1001)
 
 
-def test_available_worlds_are_ours_and_those_of_the_sources(tmp_path: Path) -> None:
+def test_available_worlds_are_the_built_in_ones_and_those_of_the_sources(tmp_path: Path) -> None:
     folder = write_room(tmp_path / "tiny")
     found = catalogue.available_worlds((str(tmp_path),), TagsFilter(), continue_on_error=False)
     assert {"flat", (folder / "scene.yaml").as_uri()} <= {world.uri for world in found}
     assert catalogue.available_worlds((), TagsFilter(("no such tag",)), continue_on_error=False) == ()
 
 
-def test_source_that_is_not_there_is_an_error_unless_it_is_to_go_on() -> None:
+def test_missing_source_is_an_error_unless_continuing_is_requested() -> None:
     with pytest.raises(SimulationError) as error:
         catalogue.available_worlds(("/no/such/folder",), TagsFilter(), continue_on_error=False)
     assert error.value.code is Result.NOT_FOUND
@@ -422,7 +422,7 @@ def test_installed_things_are_listed_once_however_many_sources_there_are(monkeyp
     assert sorted(listed) == ["built_in_spawnables", "known_scenes"]
 
 
-def test_spawnables_name_the_sources_that_are_none_and_go_on(tmp_path: Path) -> None:
+def test_spawnables_name_missing_sources_and_list_the_others(tmp_path: Path) -> None:
     (tmp_path / "ball.urdf").write_text(BALL)
     found, remark = catalogue.spawnables(("/no/such/folder", str(tmp_path)))
     assert {"gibson_bot", (tmp_path / "ball.urdf").as_uri()} <= {spawnable.uri for spawnable in found}

@@ -36,7 +36,7 @@ def test_transition_is_allowed_or_refused_as_in_the_table(
 
 
 @pytest.mark.parametrize("target", [6, 255])
-def test_state_that_does_not_exist_is_refused_with_those_that_do(target: int) -> None:
+def test_unknown_state_is_refused_with_the_known_ones(target: int) -> None:
     with pytest.raises(SimulationError, match="0 STOPPED, 1 PLAYING, 2 PAUSED, 3 QUITTING") as error:
         check_transition(PLAYING, target)
     assert error.value.code is WRONG

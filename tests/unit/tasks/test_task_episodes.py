@@ -48,7 +48,7 @@ def test_equal_seeds_give_equal_episodes_and_others_differ(arena: Ground, name: 
 
 
 @pytest.mark.parametrize("name", BASE_TASKS)
-def test_no_episode_begins_at_its_goal_nor_with_the_robot_in_something(arena: Ground, name: str) -> None:
+def test_no_episode_starts_at_its_goal_or_with_the_robot_in_collision(arena: Ground, name: str) -> None:
     task = task_of(name)
     for seed in range(2):
         episode = task.generate(seed, arena)
@@ -60,7 +60,7 @@ def test_no_episode_begins_at_its_goal_nor_with_the_robot_in_something(arena: Gr
         assert 0.0 < episode.shortest < 20.0
 
 
-def test_no_way_leads_round_the_boxes_of_push_through_and_one_leads_there_without_them(arena: Ground) -> None:
+def test_boxes_of_push_through_block_the_only_path(arena: Ground) -> None:
     for seed in range(2):
         episode = task_of("push-through").generate(seed, arena)
         assert episode.goal.position is not None
@@ -69,7 +69,7 @@ def test_no_way_leads_round_the_boxes_of_push_through_and_one_leads_there_withou
         assert not arena.space.with_obstacles([footprint(item.model, item.pose) for item in episode.items]).connected(start, goal)
 
 
-def test_who_does_not_push_stands_before_the_boxes(arena: Ground) -> None:
+def test_policy_that_does_not_push_stops_before_the_boxes(arena: Ground) -> None:
     task = task_of("push-through")
     episode = task.generate(0, arena)
     careful = task.policy("careful", episode, arena)
@@ -83,7 +83,7 @@ def test_who_does_not_push_stands_before_the_boxes(arena: Ground) -> None:
     assert next(drive(obs, careful)).linear == 0.0
 
 
-def test_what_is_searched_is_hidden_at_first_and_its_place_is_not_told(arena: Ground) -> None:
+def test_target_of_object_search_is_hidden_at_first_and_its_position_is_not_given(arena: Ground) -> None:
     task = task_of("object-search")
     for seed in range(2):
         episode = task.generate(seed, arena)
@@ -93,7 +93,7 @@ def test_what_is_searched_is_hidden_at_first_and_its_place_is_not_told(arena: Gr
         assert sum(item.model == target.model for item in episode.items) == 1
 
 
-def test_a_thing_is_found_within_a_metre_and_in_view_alone(arena: Ground) -> None:
+def test_an_object_is_found_only_within_a_metre_and_in_view(arena: Ground) -> None:
     item = Item("thing_1", "ball", Pose((2.0, 2.2, 0.0)))
     episode = Episode("object-search", 0, Pose(), (item,), Goal("", None, 1.0, "thing_1", "ball"), 1.0, 60.0)
     task = task_of("object-search")
@@ -102,7 +102,7 @@ def test_a_thing_is_found_within_a_metre_and_in_view_alone(arena: Ground) -> Non
     assert not task.succeeded(episode, _observation(episode, xyyaw=(1.1, 2.2, math.pi)), arena)
 
 
-def test_walls_hide_things(arena: Ground) -> None:
+def test_walls_hide_objects(arena: Ground) -> None:
     base = pose_from_xyz_rpy((3.6, 1.0, 0.0), (0.0, 0.0, 0.0))
     assert arena.sees(base, [(4.0, 1.0), (4.9, 1.0)]).tolist() == [True, False]
 
@@ -114,7 +114,7 @@ def test_the_outline_of_a_turned_box_is_turned() -> None:
     assert corners.max(axis=0) == pytest.approx((1.2, 2.15))
 
 
-def test_an_item_is_an_outline_that_ways_lead_round(arena: Ground) -> None:
+def test_an_item_is_an_outline_that_paths_lead_around(arena: Ground) -> None:
     box = footprint("box_cardboard", Pose((2.0, 2.2, 0.0)))
     straight = arena.space.planner.path((1.0, 2.2), (3.0, 2.2))
     round_it = arena.space.with_obstacles([box]).planner.path((1.0, 2.2), (3.0, 2.2))
@@ -138,7 +138,7 @@ def test_metrics_of_a_made_up_drive() -> None:
     assert meter.metrics(end, success=False, goal_distance=0.5).spl == 0.0
 
 
-def test_the_floor_and_what_can_be_pushed_are_no_collisions() -> None:
+def test_the_floor_and_pushable_objects_are_no_collisions() -> None:
     def contact(body: str, normal: tuple[float, float, float], force: float = 5.0) -> Contact:
         return Contact("robot", "base", body, "", (0.0, 0.0, 0.0), normal, force)
 
@@ -184,7 +184,7 @@ def test_observations_stay_within_their_bounds_and_have_the_goal_first() -> None
     assert state[len(own) + 34 :][:5].tolist() == pytest.approx([1.0, 1.0, 2.0, 0.1, CLASSES.index("ball") + 1.0])
 
 
-def test_actions_are_parts_of_the_fastest(arena: Ground) -> None:
+def test_actions_are_fractions_of_the_maximum_velocity(arena: Ground) -> None:
     controls = Controls(arena.robot, 0.1)
     action = controls.action([0.5, -3.0], _observation())
     assert (action.linear, action.angular) == (0.25, -2.0)
@@ -192,7 +192,7 @@ def test_actions_are_parts_of_the_fastest(arena: Ground) -> None:
         controls.action([math.nan, 0.0], _observation())
 
 
-def test_names_that_do_not_exist_are_answered_with_those_that_do() -> None:
+def test_unknown_names_are_refused_with_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"'fly' is unknown; known: point-goal"):
         task_of("fly")
     with pytest.raises(ConfigError, match="baseline 'careful' is unknown; known: scripted, random, none"):
@@ -222,7 +222,7 @@ def test_doors_hang_in_the_doorway_and_open_towards_the_robot(arena: Ground) -> 
     assert len(sides) == 4
 
 
-def test_an_arm_is_told_where_to_be_next_and_the_hand_to_close() -> None:
+def test_arm_actions_are_joint_position_steps_and_a_grasp_command() -> None:
     controls = Controls(load_robot("arm_bot"), 0.1)
     assert controls.size == 2 + 7 + 1
     lower, upper = controls.layout.lower[1], controls.layout.upper[1]

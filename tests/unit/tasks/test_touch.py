@@ -1,4 +1,4 @@
-"""Where a robot is touched, as observations tell it."""
+"""Directions of contacts with a robot in observations."""
 
 from __future__ import annotations
 
@@ -36,5 +36,5 @@ def test_stronger_touches_count_for_more() -> None:
     ],
     ids=["floor", "no force", "held", "itself"],
 )
-def test_floor_and_what_is_held_touch_nowhere(contact: Contact) -> None:
+def test_floor_and_grasped_object_are_no_touches(contact: Contact) -> None:
     assert touch_direction("robot", [contact], 0.0, ("mug",)) == (0.0, 0.0)

@@ -80,7 +80,7 @@ def test_processes_of_a_vector_end_with_it() -> None:
     ("count", "autoreset", "message"),
     [(0, "next_step", "count is 0, must be 1 or more"), (1, "never", "must be one of next_step, same_step, disabled")],
 )
-def test_a_vector_that_cannot_be_is_refused(count: int, autoreset: str, message: str) -> None:
+def test_an_impossible_vector_is_refused(count: int, autoreset: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         in_processes(count, "point-goal", autoreset=autoreset)
 

@@ -59,7 +59,7 @@ def _run(pytester: pytest.Pytester, *options: str) -> pytest.RunResult:
     return pytester.runpytest_inprocess(*OPTIONS, *options, plugins=[gibson_sim.pytest])
 
 
-def test_it_loads_neither_ros_nor_numpy_nor_the_rest_of_the_package() -> None:
+def test_plugin_loads_neither_ros_nor_numpy_nor_the_rest_of_the_package() -> None:
     source = "import sys, gibson_sim.pytest; print(*sorted(name for name in sys.modules if name.startswith(('gibson', 'rclpy', 'numpy'))))"
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)
     assert done.stdout == "gibson_sim gibson_sim.field_docs gibson_sim.pytest\n"

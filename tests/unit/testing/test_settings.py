@@ -1,4 +1,4 @@
-"""What a test asks of its simulation."""
+"""Settings that a test requests for its simulation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.testing.settings import SimulationSettings
 
 
-def test_a_test_that_asks_for_nothing_gets_the_flat_in_lockstep_at_full_speed() -> None:
+def test_a_test_without_settings_gets_the_flat_in_lockstep_at_full_speed() -> None:
     settings = SimulationSettings.of({})
     physics = settings.physics
     assert (physics.scene, physics.robot, physics.lockstep, physics.rate, physics.seed) == ("flat", "gibson_bot", True, 0.0, 0)

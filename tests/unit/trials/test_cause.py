@@ -179,7 +179,7 @@ def test_plan_through_the_map_elsewhere_is_not_blamed(tmp_path: Path) -> None:
     assert sure(blamed(tmp_path, run)).kind == "collision"
 
 
-def test_the_place_on_the_plan_at_which_it_failed_is_told(tmp_path: Path) -> None:
+def test_the_failed_place_on_the_plan_is_reported(tmp_path: Path) -> None:
     """The plan touches the wall at x = 2, where the robot passes without a contact, and at x = 5, where it has one."""
     plan = ((1.0, 2.0), (2.0, 0.15), (3.5, 2.0), (5.0, 0.15), (6.0, 2.0))
     run = Run(
@@ -200,7 +200,7 @@ def test_plan_that_is_as_near_as_the_robot_is_wide_is_not_blamed(tmp_path: Path)
     assert sure(blamed(tmp_path, run, spec=planned(goal=(6.0, 0.24, 0.0)))).kind == "collision"
 
 
-def test_plan_through_a_thing_that_was_put_there(tmp_path: Path) -> None:
+def test_plan_through_a_spawned_object(tmp_path: Path) -> None:
     """In a scene of ours, so that its rooms are named: the box is on the straight path, in the living room of the flat."""
     box = PlacedObject("box_1", "box_cardboard", (2.0, 2.0, 0.0), 0.1)
     run = Run(truth=until(1.4, 1.7), touches=[(1.4, 12.0, "box_1")], commands=FOREVER)
@@ -335,7 +335,7 @@ def test_one_command_that_is_not_finite_is_not_blamed(tmp_path: Path) -> None:
     assert sure(blamed(tmp_path, Run(truth=lambda t: along(t, 0.2), commands=one))).kind == "too slow"
 
 
-def test_refused_commands_that_the_bag_does_not_tell(tmp_path: Path) -> None:
+def test_refused_commands_that_are_not_in_the_bag(tmp_path: Path) -> None:
     cause = sure(blamed(tmp_path, Run(truth=stands, without=["/cmd_vel"]), refused_commands=40))
     assert cause.kind == "bad command"
     assert "rejected 40 commands" in cause.text
@@ -350,7 +350,7 @@ def test_refused_commands_that_the_bag_does_not_tell(tmp_path: Path) -> None:
         ("interrupted", "unknown"),
     ],
 )
-def test_ends_that_speak_for_themselves(tmp_path: Path, end: str, kind: str) -> None:
+def test_ends_that_are_their_own_cause(tmp_path: Path, end: str, kind: str) -> None:
     """The localisation is lost meanwhile, which has nothing to do with it."""
     cause = sure(blamed(tmp_path, Run(corrections=shifted(0.8)), end, detail="what happened"))
     assert (cause.kind, cause.text, cause.time) == (kind, f"after 12.0 s: {end}: what happened", 12.0)
@@ -396,7 +396,7 @@ def test_robot_that_stands_at_the_goal_is_not_blamed_for_standing(tmp_path: Path
     assert "at the end, but the stack did not report that it had arrived" in cause.text
 
 
-def test_detour_is_explained_by_what_held_the_robot_up(tmp_path: Path) -> None:
+def test_missed_time_limit_is_explained_by_an_earlier_blockage(tmp_path: Path) -> None:
     """Too slow for its limit of time, since it was blocked for a while."""
     late = lambda t: along(t) if t < 4.0 else (3.0, 2.0, 0.0) if t < 9.0 else along(t - 5.0)  # noqa: E731
     run = Run(duration=16.0, truth=late, touches=[(4.0, 9.0, "person")], commands=commands((0.0, 15.0, 0.5), (15.0, 16.0, 0.0)))
@@ -404,7 +404,7 @@ def test_detour_is_explained_by_what_held_the_robot_up(tmp_path: Path) -> None:
     assert (cause.kind, cause.time) == ("blocked", 4.0)
 
 
-def test_of_two_tight_places_of_a_plan_the_one_of_the_first_failure_is_told(tmp_path: Path) -> None:
+def test_the_tight_place_of_the_first_failure_is_reported(tmp_path: Path) -> None:
     """It has contact near x = 2, where the plan leaves 0.10 m, and gives up at x = 5, where it leaves 0.05 m."""
     plan = ((1.0, 2.0), (2.0, 0.15), (3.5, 2.0), (5.0, 0.10), (6.0, 2.0))
     run = Run(

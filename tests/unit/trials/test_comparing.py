@@ -27,7 +27,7 @@ def test_exact_test_has_the_probability_counted_by_hand(fewer: int, more: int, p
     assert two_sided_binomial(fewer, more) == pytest.approx(p, rel=1e-12)
 
 
-def test_six_runs_that_all_differ_to_one_side_are_the_fewest_that_tell() -> None:
+def test_six_runs_that_differ_in_one_direction_are_the_fewest_for_significance() -> None:
     assert least_significant_count() == 6  # 2 / 2^6 = 3.1 %, 2 / 2^5 = 6.3 %
 
 
@@ -81,7 +81,7 @@ def judged(number: int, **verdicts: bool) -> RunResult:
     return replace(passed(number), verdicts=tuple(Verdict(name, good, "") for name, good in verdicts.items()))
 
 
-def test_a_stack_that_reaches_more_and_hits_more_is_told_by_its_verdicts() -> None:
+def test_a_stack_with_more_goals_and_more_collisions_is_compared_by_verdict() -> None:
     before = [judged(n, reached=n >= 8, collisions=True) for n in range(16)]
     after = [judged(n, reached=True, collisions=n < 8) for n in range(16)]
     found = compare(before, after)
@@ -95,7 +95,7 @@ def test_a_stack_that_reaches_more_and_hits_more_is_told_by_its_verdicts() -> No
     assert "collisions: 8 runs got worse, 0 got better: that is more than chance (1.6 %)" in found.lines()
 
 
-def test_verdicts_that_can_never_tell_do_not_count_as_tests() -> None:
+def test_verdicts_that_cannot_reach_significance_are_no_tests() -> None:
     before = [judged(n, collisions=True, time=n < 15) for n in range(16)]
     after = [judged(n, collisions=n >= 6, time=True) for n in range(16)]
     collisions, time = compare(before, after).verdicts
@@ -129,5 +129,5 @@ def test_a_measure_without_pairs_has_no_shift() -> None:
 
 
 @pytest.mark.parametrize(("p", "text"), [(0.0034, "0.3 %"), (0.00001, "less than 0.1 %"), (0.39, "39 %"), (1.0, "100 %")])
-def test_probabilities_are_told_in_percent(p: float, text: str) -> None:
+def test_probabilities_are_formatted_in_percent(p: float, text: str) -> None:
     assert percent(p) == text

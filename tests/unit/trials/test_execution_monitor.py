@@ -79,7 +79,7 @@ def test_run_ends_at_the_same_tick_whether_the_text_comes_at_one_tick_or_the_nex
     assert stamp == 5 * S, "it stands from 3.7 s on, for a second at 4.7 s; the next half second is at 5 s"
 
 
-def test_run_of_a_robot_that_never_stops_ends_five_seconds_after_the_stack_told_its_end() -> None:
+def test_run_of_a_robot_that_never_stops_ends_five_seconds_after_the_reported_end() -> None:
     monitor = monitor_of(TELLS)
     monitor.give_goal(0)
     pass_time(monitor, 0.0, 1.0, AWAY, 0.2)
@@ -101,7 +101,7 @@ def test_the_last_text_that_matches_counts() -> None:
     assert monitor.status == "idle"
 
 
-def test_what_was_told_before_the_goal_does_not_count() -> None:
+def test_status_text_before_the_goal_does_not_count() -> None:
     monitor = monitor_of(TELLS)
     monitor.receive_status("reached the dock")
     monitor.give_goal(0)
@@ -144,7 +144,7 @@ def test_silence_of_a_stack_ends_the_run_after_the_limit() -> None:
     assert monitor.silence(4.0) == Decision("stack silent", expected, 3 * S)
 
 
-def test_silence_of_a_stack_that_has_told_its_end_is_that_end() -> None:
+def test_silence_of_a_stack_that_has_reported_its_end_is_that_end() -> None:
     monitor = monitor_of(TELLS)
     monitor.give_goal(0)
     pass_time(monitor, 0.0, 3.0, AT_GOAL, 0.2)

@@ -249,13 +249,13 @@ class TestBadBags:
         run = Run(duration=2.0, extra=[(1.0, "/odom", messages()("std_msgs/String", data="?"))])
         self.assert_failed(judge(scenario(), planned(), run.outcome(), run.write(tmp_path)), "cannot be decoded")
 
-    def test_values_that_make_no_sense(self, tmp_path: Path) -> None:
+    def test_invalid_values_are_left_out(self, tmp_path: Path) -> None:
         """A true position that is not a number, and a map without cells: what is left is judged."""
         run = Run(truth=lambda t: (math.nan if t > 11.95 else along(t)[0], 2.0, 0.0))
         result = judged(tmp_path, run)
         assert result.measures["goal_distance"] == pytest.approx(0.0)
 
-    def test_run_without_a_goal_is_told_by_its_outcome(self, tmp_path: Path) -> None:
+    def test_run_without_a_goal_is_judged_by_its_outcome(self, tmp_path: Path) -> None:
         outcome = Run().outcome("never ready", detail="no message on /pose within 60 s", goal_ns=-1, end_ns=-1)
         result = judge(scenario(clearance=0.1), planned(), outcome, tmp_path)
         assert verdict(result, "run").text == "never ready: no message on /pose within 60 s"
@@ -285,7 +285,7 @@ class TestDigest:
     def rows(self, epoch: int = 0, **changes: int) -> list[tuple[float, Any]]:
         return [(0.1 * k, messages().digest(0.1 * k, k, {"/scene_state": 5 + k, "/odom": 7, **changes}, epoch)) for k in range(4)]
 
-    def test_equal_runs_have_equal_ones(self, tmp_path: Path) -> None:
+    def test_equal_runs_have_equal_digests(self, tmp_path: Path) -> None:
         first = self.digest(tmp_path, self.rows())
         assert len(first) == 32
         assert self.digest(tmp_path, self.rows()) == first
@@ -319,17 +319,17 @@ class TestPredicates:
         result = judged(folder, Run(duration=0.5), predicates=(predicate,))
         return verdict(result, f"predicates.{predicate}")
 
-    def test_gets_the_bag_and_the_run(self, tmp_path: Path) -> None:
+    def test_predicate_gets_the_bag_and_the_run(self, tmp_path: Path) -> None:
         source = "def ok(bag, run):\n    return (bag / 'metadata.yaml').is_file() and run.shortest == 5.0\n"
         assert self.call(tmp_path, source) == Verdict("predicates.checks:ok", True, "checks:ok returned True")
 
-    def test_text_says_why_not(self, tmp_path: Path) -> None:
+    def test_returned_text_is_the_reason_of_the_failure(self, tmp_path: Path) -> None:
         assert self.call(tmp_path, "def ok(bag, run):\n    return 'the cup\\nfell'\n") == Verdict(
             "predicates.checks:ok", False, "the cup fell"
         )
 
     @pytest.mark.parametrize("answer", ["False", "None", "3"])
-    def test_other_answers_fail(self, tmp_path: Path, answer: str) -> None:
+    def test_other_return_values_fail(self, tmp_path: Path, answer: str) -> None:
         found = self.call(tmp_path, f"def ok(bag, run):\n    return {answer}\n")
         assert (found.passed, answer in found.text) == (False, True)
 
@@ -352,7 +352,7 @@ class TestPredicates:
         ("predicate", "words"),
         [("checks:other", "no function other"), ("absent:ok", "no module absent"), ("checks", "must be module:function")],
     )
-    def test_what_is_not_there(self, tmp_path: Path, predicate: str, words: str) -> None:
+    def test_missing_predicate_is_named(self, tmp_path: Path, predicate: str, words: str) -> None:
         assert words in self.call(tmp_path, "def ok(bag, run):\n    return True\n", predicate).text
 
     def test_missing_import_inside_is_an_exception(self, tmp_path: Path) -> None:

@@ -202,11 +202,11 @@ def test_looks_become_settings_of_physics_with_a_seed_of_the_run() -> None:
         ({"obstacles": Obstacles(people=(PersonRule(((1.0, 1.0), (1.0, 1.0))),))}, "obstacles.people[0].path is 0.00 m long"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_met_is_refused_before_anything_starts(changes: dict[str, object], told: str) -> None:
+def test_impossible_requirements_are_refused_before_anything_starts(changes: dict[str, object], told: str) -> None:
     assert refusal(**changes).startswith(told)
 
 
-def test_all_places_where_the_robot_cannot_stand_are_told_at_once() -> None:
+def test_all_places_where_the_robot_cannot_stand_are_reported_at_once() -> None:
     with pytest.raises(ScenarioError) as caught:
         plan_runs(scenario(starts=(FIRST, "99,0,0", "98,0,0"), goals=("4.26,1.0,0",), runs=2))
     told = [line.removeprefix("/nowhere/trial.yaml: ").split(",")[0] for line in caught.value.mistakes]
@@ -262,7 +262,7 @@ def test_no_run_begins_where_a_door_that_closes_stands_or_swings(tmp_path: Path)
     assert "'box_cardboard' would block a door that closes" in told
 
 
-def test_things_stand_beside_the_path_and_leave_a_way_round() -> None:
+def test_obstacles_stand_beside_the_path_and_leave_a_way_around() -> None:
     rules = Obstacles((SpawnRule("box_cardboard", 3), SpawnRule("chair_wooden", at="sampled")))
     scene = load_scene("arena")
     floor = furnished_floor_map(scene, load_robot("gibson_bot"))
@@ -279,12 +279,12 @@ def test_things_stand_beside_the_path_and_leave_a_way_round() -> None:
         assert run.shortest >= 5.5 - 1e-3
 
 
-def test_a_thing_that_would_close_the_way_is_refused() -> None:
+def test_an_obstacle_that_would_block_the_path_is_refused() -> None:
     told = refusal(obstacles=Obstacles((SpawnRule("chair_wooden", at="4.26,2.2,0"),)), starts=(FIRST,), goals=(SECOND,))
     assert told.startswith("obstacles.spawn[0].at is '4.26,2.2,0', where 'chair_wooden' would leave no path from (1.50, 2.20)")
 
 
-def test_a_thing_stands_on_the_floor_whatever_its_origin() -> None:
+def test_an_obstacle_stands_on_the_floor_whatever_its_origin() -> None:
     (run,) = plan_runs(
         scenario(obstacles=Obstacles((SpawnRule("ball", at="3.0,1.0,0"),)), runs=1, goals=(SECOND,), starts=(FIRST,))
     )

@@ -94,7 +94,7 @@ def test_a_payload_adds_its_mass_above_the_base_and_no_shape(tmp_path: Path) -> 
     assert (after.radius, after.height) == (before.radius, before.height)
 
 
-def test_a_payload_of_next_to_nothing_is_none(tmp_path: Path) -> None:
+def test_a_negligible_payload_adds_no_link(tmp_path: Path) -> None:
     assert "payload" not in varied(tmp_path, "gibson_bot", {"payload": 0.0}).links
 
 

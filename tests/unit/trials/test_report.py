@@ -61,12 +61,12 @@ def test_a_file_of_another_kind_is_refused_in_one_line(tmp_path: Path, text: str
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"before\.json: cannot be read: No such file"):
         read_results(tmp_path / "before.json")
 
 
-def test_the_line_of_a_run_tells_how_it_went() -> None:
+def test_the_line_of_a_run_reports_its_result() -> None:
     assert run_line(passed(12)) == "ok    12 linden_flat 4.2,2.8 -> 7.4,6.6  reached in 31.2 s, 12.1 m (ratio 1.08)"
     assert run_line(failed(13)) == "FAIL  13 linden_flat 4.2,2.8 -> 7.4,6.6  collision with chair_2 at 3.2,4.1 after 12.3 s"
 
@@ -135,7 +135,7 @@ def test_junit_has_a_case_for_each_run(tmp_path: Path, monkeypatch: pytest.Monke
     assert [child.tag for child in error] == ["error", "system-out"]
 
 
-def test_junit_survives_characters_that_xml_has_not() -> None:
+def test_junit_survives_characters_that_xml_does_not_allow() -> None:
     bad = replace(failed(1, "\0\x1b\ud800 </testcase> ]]> &"), verdicts=(Verdict("x\0", False, "\x08 <b>"),))
     top = ElementTree.fromstring(junit_xml(trial([bad], name="a\x01b"), Path("out")))
     problem = top.find(".//failure")

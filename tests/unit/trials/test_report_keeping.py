@@ -34,7 +34,7 @@ def test_a_passed_run_keeps_its_path_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["path.json"]
 
 
-def test_a_passed_run_keeps_its_bag_where_that_is_wanted(tmp_path: Path) -> None:
+def test_a_passed_run_keeps_its_bag_on_request(tmp_path: Path) -> None:
     Run().write(tmp_path)
     keep_of_run(passed(0), tmp_path, "all")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "path.json"]

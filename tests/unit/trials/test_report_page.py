@@ -167,7 +167,7 @@ def test_map_distinguishes_failed_paths_by_more_than_colour() -> None:
     assert ">2</text>" in svg
 
 
-def test_map_shows_what_was_in_the_way_of_a_failed_run() -> None:
+def test_map_shows_the_obstacles_of_a_failed_run() -> None:
     things = (PlacedObject("box", "box_cardboard", (1.0, 2.0, 0.0)),)
     runs = [(made(0, things=things), ((0.0, 0.0), (10.0, 0.0))) for made in (passed, failed)]
     unit = 0.106  # a hundredth of the width, 10 m and the margins
@@ -183,7 +183,7 @@ def test_numbers_on_a_map_do_not_cover_each_other() -> None:
     assert svg.count("<polyline") == 30
 
 
-def test_a_map_of_nothing_is_none() -> None:
+def test_without_a_map_and_paths_nothing_is_drawn() -> None:
     assert map_svg(None, []) == ""
 
 

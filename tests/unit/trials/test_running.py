@@ -142,7 +142,7 @@ def test_bags_of_failed_runs_alone_are_kept(tmp_path: Path, scenario: Scenario) 
     assert (tmp_path / "runs/0001/bag").is_dir()
 
 
-def test_all_bags_are_kept_where_that_is_wanted(tmp_path: Path, scenario: Scenario) -> None:
+def test_all_bags_are_kept_on_request(tmp_path: Path, scenario: Scenario) -> None:
     made(Overrides(keep="all").applied(scenario), [spec(0)], tmp_path)
     assert (tmp_path / "runs/0000/bag").is_dir()
 
@@ -156,7 +156,7 @@ def test_a_run_whose_worker_fails_is_a_failed_run_and_the_others_go_on(tmp_path:
     assert finished(tmp_path, [spec(4)]) == {4: results[0]}
 
 
-def test_after_an_interruption_only_the_rest_is_made(tmp_path: Path, scenario: Scenario) -> None:
+def test_only_the_missing_runs_are_made_after_an_interruption(tmp_path: Path, scenario: Scenario) -> None:
     plan = [spec(n) for n in range(4)]
     with pytest.raises(KeyboardInterrupt):
         made(scenario, plan, tmp_path, Here(stop_before=2))

@@ -228,7 +228,7 @@ def test_a_stack_that_cannot_be_started_is_refused(tmp_path: Path, text: str, to
         "[" * 1000,
     ],
 )
-def test_what_is_no_yaml_or_too_much_is_one_line(tmp_path: Path, text: str) -> None:
+def test_invalid_and_oversized_yaml_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load(tmp_path, text)
     assert str(caught.value).startswith(f"{tmp_path / 'trial.yaml'}: ")
@@ -262,7 +262,7 @@ def test_a_message_names_further_mistakes(tmp_path: Path) -> None:
         load(tmp_path, LEAST + "runs: 0\nseed: x\nlimits: {time: 0}\n")
 
 
-def test_a_file_with_very_many_mistakes_is_told_so(tmp_path: Path) -> None:
+def test_the_number_of_very_many_mistakes_is_limited(tmp_path: Path) -> None:
     found = mistakes(tmp_path, LEAST + "".join(f"x{k}: 1\n" for k in range(30)))
     assert len(found) == 21
     assert found[-1] == "has more than 20 mistakes: fix these first"

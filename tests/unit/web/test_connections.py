@@ -104,7 +104,7 @@ def test_a_head_that_goes_on_byte_by_byte_is_closed_after_the_time_out() -> None
                 client.sendall(b"x")
 
 
-def test_a_connection_whose_answer_is_not_read_is_closed_after_the_time_out() -> None:
+def test_a_connection_whose_response_is_not_read_is_closed_after_the_time_out() -> None:
     with _serving(ConnectionLimits(idle_s=0.1)) as server, ExitStack() as stack:
         server.serve_blob("large", bytes(64_000_000))
         client = stack.enter_context(socket.socket())
@@ -118,7 +118,7 @@ def test_a_connection_whose_answer_is_not_read_is_closed_after_the_time_out() ->
         assert len(_received(client)) < 64_000_000
 
 
-def test_an_answer_of_which_parts_are_taken_is_not_closed_however_long_it_takes() -> None:
+def test_a_response_that_is_read_slowly_is_not_closed() -> None:
     async def run() -> None:
         loop = asyncio.get_running_loop()
         gate = ConnectionGate(ConnectionLimits(), RareWarnings(logging.getLogger("gibson_sim.test")))

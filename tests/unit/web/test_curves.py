@@ -17,14 +17,14 @@ def test_a_peak_between_two_samples_is_kept_and_the_rate_is_bounded() -> None:
     assert curve.pop_new(2.0) == []
 
 
-def test_the_present_tenth_of_a_second_is_not_told_before_it_is_over() -> None:
+def test_a_tenth_of_a_second_is_sent_once_it_is_over() -> None:
     curve = Curve()
     curve.add(1.01, 5.0)
     assert curve.pop_new(1.02) == []
     assert curve.pop_new(1.11) == [(1.01, 5.0)]
 
 
-def test_what_is_not_finite_breaks_the_line() -> None:
+def test_values_that_are_not_finite_break_the_line() -> None:
     curve = Curve()
     for t, value in ((0.0, 1.0), (0.1, math.nan), (0.2, math.inf), (0.3, 2.0)):
         curve.add(t, value)

@@ -1,4 +1,4 @@
-"""Who drives, and when the robot stops. Times are seconds."""
+"""The page that drives, and when the robot stops. Times are seconds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_the_page_that_drives_keeps_the_robot() -> None:
     assert rule.drive("two", Drive(-1.0, 0.0, 0.0), 10.0 + DEADLINE_S)
 
 
-def test_a_page_that_stands_sends_nothing() -> None:
+def test_a_page_that_commands_standstill_sends_nothing() -> None:
     rule = DeadMan()
     assert rule.drive("page", STANDING, 0.0)
     assert rule.due(0.0) is None

@@ -1,4 +1,4 @@
-"""What a page may list and open below the folder of recordings, and what it may not."""
+"""Files below the folder of recordings that a page may list and open, and those that it may not."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_a_report_that_is_no_regular_file_or_too_large_is_refused(tmp_path: Path
         recordings.report(entry["key"])
 
 
-def test_what_cannot_be_read_is_listed_with_a_reason(tmp_path: Path) -> None:
+def test_unreadable_recordings_are_listed_with_a_reason(tmp_path: Path) -> None:
     _trial(tmp_path / "trial")
     (tmp_path / "trial" / "results.json").write_text('{"totals": [')
     (tmp_path / "bag").mkdir()
@@ -136,7 +136,7 @@ def test_plots_of_a_bag_are_those_of_bag_plot_and_are_kept(tmp_path: Path, monke
     assert recordings.plots(entry["key"]) == page
 
 
-def test_a_bag_that_cannot_be_plotted_says_why(tmp_path: Path) -> None:
+def test_a_bag_that_cannot_be_plotted_is_reported_with_the_reason(tmp_path: Path) -> None:
     bag = _bag(tmp_path / "run")
     next(bag.glob("*.mcap")).write_bytes(b"nothing")
     recordings = Recordings(tmp_path)

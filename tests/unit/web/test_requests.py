@@ -1,4 +1,4 @@
-"""What a page may ask for, and what is refused."""
+"""Valid requests of a page, and the refusal of others."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_a_request_is_read(message: dict[str, object], request_: object) -> None
         ('{"type": "delete", "name": "' + "x" * 5000 + '"}', "at most 4096 are allowed"),
     ],
 )
-def test_what_is_no_request_is_refused(message: str, reason: str) -> None:
+def test_an_invalid_request_is_refused(message: str, reason: str) -> None:
     with pytest.raises(PageRequestError) as error:
         parse_request(message)
     assert reason in str(error.value)

@@ -1,4 +1,4 @@
-"""The server of the live page: who is let in, who gets what, when the robot stops."""
+"""The server of the live page: admission of pages, distribution of messages, the stop of the robot."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_a_port_that_is_taken_is_one_line(server: PageServer, backend: Backend) 
         PageServer(backend, port=server.port)
 
 
-def test_what_a_page_asks_for_reaches_the_backend_and_is_answered(server: PageServer, backend: Backend) -> None:
+def test_requests_of_a_page_reach_the_backend_and_are_answered(server: PageServer, backend: Backend) -> None:
     async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
         await socket.send_json({"type": "time", "action": "pause"})
         done = await _reply(socket)
@@ -161,7 +161,7 @@ def test_what_a_page_asks_for_reaches_the_backend_and_is_answered(server: PageSe
     assert backend.asked == [Time("pause")]
 
 
-def test_images_go_to_who_watches_and_only_while_they_do(server: PageServer, backend: Backend) -> None:
+def test_images_are_sent_only_to_pages_that_watch_them(server: PageServer, backend: Backend) -> None:
     async def talk(socket: aiohttp.ClientWebSocketResponse) -> bytes:
         await socket.send_json({"type": "watch", "topics": ["/a"]})
         while not backend.watched:
@@ -229,7 +229,7 @@ def test_a_second_page_cannot_take_the_robot(server: PageServer, backend: Backen
     assert Drive(-1.0, 0.0, 0.0) not in backend.commands
 
 
-def test_a_page_that_comes_later_gets_what_is_kept(server: PageServer) -> None:
+def test_a_page_that_connects_later_gets_the_kept_messages(server: PageServer) -> None:
     server.broadcast("map", {"width": 3}, keep=True)
     server.broadcast("scan", [1])
 
@@ -250,7 +250,7 @@ def test_a_page_that_reads_nothing_delays_no_other(server: PageServer, backend: 
     assert _talk(server, talk)["ok"]
 
 
-def test_only_so_many_pages_are_let_in(server: PageServer) -> None:
+def test_the_number_of_pages_is_limited(server: PageServer) -> None:
     async def run() -> int:
         async with aiohttp.ClientSession() as session:
             url = f"http://127.0.0.1:{server.port}/socket"
@@ -294,7 +294,7 @@ def test_a_page_gets_the_curves_that_it_plots_and_no_others(server: PageServer, 
     assert backend.plotted[0] == {("/a", "x")}
 
 
-def test_a_page_that_comes_later_gets_the_image_of_this_moment_but_none_of_the_past(server: PageServer) -> None:
+def test_a_page_that_connects_later_gets_the_current_image_and_no_earlier_ones(server: PageServer) -> None:
     async def first_image(socket: aiohttp.ClientWebSocketResponse) -> bytes | None:
         await socket.send_json({"type": "watch", "topics": ["/a"]})
         await socket.send_json({"type": "time", "action": "play"})

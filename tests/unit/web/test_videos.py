@@ -1,4 +1,4 @@
-"""Which page gets which image when."""
+"""Distribution of images to pages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_page_that_is_slow_gets_the_newest_image_once_it_is_ready() -> None:
     assert sent == [*range(IN_FLIGHT), 9]  # nothing newer waits
 
 
-def test_a_page_gets_what_it_watches_and_nothing_else() -> None:
+def test_a_page_gets_only_the_topics_that_it_watches() -> None:
     sent: list[str] = []
     viewer = Viewer(lambda image: sent.append(image.topic))
     viewer.watch(("/a", "/b"))

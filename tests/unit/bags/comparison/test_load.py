@@ -170,7 +170,7 @@ def test_requested_topic_that_is_missing_is_an_error(folder: Path) -> None:
         load_recording(folder, {"imu": "/imu9"})
 
 
-def test_folder_that_is_no_bag_is_an_error(tmp_path: Path) -> None:
+def test_folder_without_a_bag_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="no bag"):
         load_recording(tmp_path / "nothing")
 

@@ -90,7 +90,7 @@ def test_a_video_keeps_its_time_and_gives_at_most_the_rate(tmp_path: Path) -> No
     assert stamps["some"] == [NS, NS + NS // 5, NS + 2 * NS // 5]
 
 
-def test_what_cannot_be_made_into_a_bag_is_one_line_and_leaves_none(photographs: Path, tmp_path: Path) -> None:
+def test_files_that_cannot_become_a_bag_are_refused_in_one_line_and_leave_none(photographs: Path, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.mp4").write_text("no video")
@@ -116,7 +116,7 @@ def test_settings_are_checked(values: dict[str, Any], part: str) -> None:
         CameraSettings(**values)
 
 
-def test_the_command_says_what_it_wrote(photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reports_what_it_wrote(photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / "bag"
     with pytest.raises(SystemExit) as end:
         main(["bag", "from-images", str(photographs), "--output", str(bag), "--rate", "2", "--hfov", "60"])

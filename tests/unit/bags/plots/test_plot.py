@@ -120,7 +120,7 @@ def test_bag_of_a_real_robot_needs_neither_truth_nor_map(write_run: Callable[...
     assert all(path.stat().st_size > 10_000 for path in paths)
 
 
-def test_map_without_a_pose_in_it_is_left_out_and_said(write_run: Callable[..., Path]) -> None:
+def test_map_without_a_pose_in_it_is_left_out_with_a_warning(write_run: Callable[..., Path]) -> None:
     run = load_run(write_run(truth=False))
     assert run.floor is None
     assert "the map is left out" in run.notes[0]

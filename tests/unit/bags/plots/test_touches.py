@@ -1,4 +1,4 @@
-"""What the robots of a bag touched, from each kind of topic that tells it."""
+"""Collisions of the robots in a bag, from each kind of topic that reports them."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def test_collision_between_two_contact_messages_is_not_lost(write: Callable[...,
     assert [touch.text() for touch in touches] == ["left: touched mug at 0.7 s, with up to 9 N"]
 
 
-def test_collisions_before_the_recording_are_not_told(write: Callable[..., Path], messages: Any) -> None:
+def test_collisions_before_the_recording_are_not_reported(write: Callable[..., Path], messages: Any) -> None:
     rows = [("/left/collisions", tick, messages.collisions(tick, 5, 0, "mug", 9.0)) for tick in range(41)]
     assert check_bag(write({"/left/collisions": COLLISIONS}, rows)).touches == ()
 
 
-def test_contact_that_lasts_to_the_end_says_so(write: Callable[..., Path], messages: Any) -> None:
+def test_contact_that_lasts_to_the_end_is_reported_as_such(write: Callable[..., Path], messages: Any) -> None:
     rows = [
         ("/left/collisions", tick, messages.collisions(tick, int(tick >= 30), int(tick >= 30), "wall_1")) for tick in range(41)
     ]
@@ -86,7 +86,7 @@ def test_contact_that_lasts_to_the_end_says_so(write: Callable[..., Path], messa
     assert "contact: left: pressed against wall_1 from 3.0 s to the end of the recording" in report.text().splitlines()
 
 
-def test_contacts_alone_leave_out_what_it_stands_on(write: Callable[..., Path], messages: Any) -> None:
+def test_contacts_alone_leave_out_the_supporting_floor(write: Callable[..., Path], messages: Any) -> None:
     """As another recorder may have chosen: no collision count. The wall is body b or body a."""
     rows = [("/contacts", tick, messages.contacts(tick, GROUND)) for tick in range(41) if tick not in (12, 30)]
     rows += [("/contacts", 12, messages.contacts(0, GROUND, ("left", "wall", "", 0.0, 5.0)))]
@@ -113,7 +113,9 @@ def test_bumper_of_a_real_robot(write: Callable[..., Path], messages: Any) -> No
         (["/wheel/odometry"], ("",)),
     ],
 )
-def test_robots_are_told_by_their_odometry(messages: Any, tmp_path: Path, topics: list[str], robots: tuple[str, ...]) -> None:
+def test_robots_are_distinguished_by_their_odometry(
+    messages: Any, tmp_path: Path, topics: list[str], robots: tuple[str, ...]
+) -> None:
     with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
         for topic in topics:
             bag.add_topic(topic, "nav_msgs/msg/Odometry")

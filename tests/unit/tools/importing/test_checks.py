@@ -39,7 +39,7 @@ def _run(*words: object) -> int:
 
 
 @pytest.mark.parametrize(("axis", "degrees"), [(0, 3.0), (1, -7.0), (0, 0.7)])
-def test_how_far_a_floor_is_out_of_level_is_measured(axis: int, degrees: float) -> None:
+def test_tilt_of_a_floor_is_measured(axis: int, degrees: float) -> None:
     corners, quads = room()
     guess = guess_up(turned(corners, axis, degrees), triangles(quads))
     assert guess.axis == "z"
@@ -58,7 +58,7 @@ def test_noise_of_a_scan_hardly_changes_the_direction() -> None:
 
 
 @pytest.mark.parametrize(("axis", "degrees", "up"), [(0, -90.0, "y"), (1, 90.0, "x"), (0, 90.0, "y")])
-def test_a_scene_on_its_side_is_seen(axis: int, degrees: float, up: str) -> None:
+def test_a_scene_on_its_side_is_detected(axis: int, degrees: float, up: str) -> None:
     corners, quads = room()
     guess = guess_up(turned(corners, axis, degrees), triangles(quads))
     assert guess.axis == up
@@ -81,7 +81,7 @@ def test_units_are_guessed_by_the_size_of_rooms(size: tuple[float, float, float]
     assert guess_unit(size) == unit
 
 
-def test_a_size_that_is_no_building_comes_with_the_unit_in_which_it_would_be_one() -> None:
+def test_an_implausible_building_size_is_reported_with_the_likely_unit() -> None:
     assert size_text((4.0, 2.4, 3.0)) == "4 x 2.4 x 3 m"
     assert size_text((4000.0, 3000.0, 2400.0)) == "4000 x 3000 x 2400 m; in mm it would be a room or a building"
     assert size_text((1e-9, 1e-9, 1e-9)).startswith("1e-09 x 1e-09 x 1e-09 m; it is not the size of a room in any of ")
@@ -115,7 +115,7 @@ def test_turned_faces_are_found_however_they_are_written() -> None:
     assert faults.inconsistent_edges == 6
 
 
-def test_a_thing_that_is_inside_out_is_found_and_a_room_is_none() -> None:
+def test_an_inside_out_object_is_found_and_a_room_is_not() -> None:
     corners, quads = room()
     quads[6:] = quads[6:, ::-1]
     faults = find_faults(corners, triangles(quads))
@@ -141,12 +141,12 @@ def _scene(folder: Path, corners: np.ndarray, quads: np.ndarray, more: str = "")
     return folder
 
 
-def test_a_good_scene_is_clean_and_the_exit_code_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_good_scene_has_no_findings_and_exit_code_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _run("check", _scene(tmp_path / "a", *room())) == 0
     assert capsys.readouterr().out == "test: clean\n"
 
 
-def test_what_a_scene_that_was_begun_lacks_is_a_note_and_what_no_longer_fits_a_warning(
+def test_missing_files_of_an_unfinished_scene_are_notes_and_outdated_ones_warnings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rooms = "rooms: [{name: hall, class: hall, polygon: [[-3, -2], [3, -2], [3, 2], [-3, 2]]}]\n"
@@ -182,7 +182,7 @@ def test_a_floor_that_faces_down_is_reported(tmp_path: Path) -> None:
     assert "floor-faces-down" in _found(check_path(_scene(tmp_path / "a", corners, quads[:, ::-1], "floor_z: 0.0\n")))
 
 
-def test_what_cannot_be_read_is_one_error(tmp_path: Path) -> None:
+def test_an_unreadable_scene_is_one_error(tmp_path: Path) -> None:
     corners, quads = room()
     folder = _scene(tmp_path / "a", corners, quads)
     (folder / "room.obj").write_text("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
@@ -251,13 +251,13 @@ def _stl(corners: np.ndarray) -> bytes:
     return bytes(80) + len(corners).to_bytes(4, "little") + facets.tobytes()
 
 
-def test_what_must_be_imported_first_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_formats_that_must_be_imported_first_are_reported_as_such(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_gibson_folder(tmp_path / "Tiny")
     assert _run("check", tmp_path / "Tiny") == 1
     assert "is a Gibson folder; import it first" in capsys.readouterr().err
 
 
-def test_a_huge_texture_is_told_before_it_is_decoded_and_made_smaller(tmp_path: Path) -> None:
+def test_a_huge_texture_is_reported_before_it_is_decoded_and_scaled_down(tmp_path: Path) -> None:
     folder = _scene(tmp_path / "a", *room())
     write_obj(folder / "room.obj", *room(), "atlas.png")
     picture = np.zeros((64, 9000, 3), dtype=np.uint8)
@@ -341,13 +341,13 @@ def test_a_strip_that_was_not_scanned_makes_islands() -> None:
     assert large == pytest.approx(3.4 * 2.5, rel=0.15) and small == pytest.approx(1.2 * 2.5, rel=0.25)
 
 
-def test_a_wall_makes_none() -> None:
+def test_a_wall_makes_no_islands() -> None:
     floor, occupied = _blank()
     occupied[:, 40:42] = True
     assert islands(_map(floor, occupied), 0.2) == ()
 
 
-def test_what_is_farther_than_a_metre_or_hardly_a_place_makes_none() -> None:
+def test_gaps_wider_than_a_metre_and_tiny_regions_make_no_islands() -> None:
     floor, occupied = _blank()
     wide, tiny = floor.copy(), floor.copy()
     wide[:, 25:50] = False
@@ -356,6 +356,6 @@ def test_what_is_farther_than_a_metre_or_hardly_a_place_makes_none() -> None:
     assert islands(_map(tiny, occupied), 0.2) == ()
 
 
-def test_a_floor_without_any_place_makes_none() -> None:
+def test_a_floor_without_free_space_has_no_islands() -> None:
     floor, occupied = _blank()
     assert islands(_map(~floor, occupied), 0.2) == ()

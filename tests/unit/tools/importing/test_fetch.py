@@ -127,7 +127,7 @@ def test_a_download_goes_on_where_it_was_cut_off(
     assert server.ranges.count("bytes=100-") == 1 and len(server.ranges) == 7
 
 
-def test_another_file_than_that_of_the_recipe_is_not_kept(
+def test_a_file_with_another_checksum_than_the_recipe_is_not_kept(
     recipe: Path, server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     server.files["/scenes/floors.txt"] = b"9.9\n"
@@ -137,14 +137,14 @@ def test_another_file_than_that_of_the_recipe_is_not_kept(
     assert not list(download_folder("tiny").rglob("floors.txt*"))
 
 
-def test_more_than_the_recipe_says_is_not_taken(server: Server, tmp_path: Path) -> None:
+def test_a_download_larger_than_the_recipe_states_is_refused(server: Server, tmp_path: Path) -> None:
     server.files["/a"] = bytes(10_000_000)
     with pytest.raises(SceneError, match="sends more than the 10 bytes"):
         download(f"{server.url}/a", tmp_path / "a", "0" * 64, 10, lambda count: None)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_not_there_is_one_line(server: Server, tmp_path: Path) -> None:
+def test_a_missing_download_is_one_line(server: Server, tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="the server returned 404"):
         download(f"{server.url}/none", tmp_path / "a", "0" * 64, 10, lambda count: None)
 

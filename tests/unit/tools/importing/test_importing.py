@@ -93,7 +93,7 @@ def test_a_folder_that_is_not_empty_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["ground\n", "0.0\nnan\n"])
-def test_heights_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+def test_invalid_floor_heights_are_refused(tmp_path: Path, text: str) -> None:
     folder = write_gibson_folder(tmp_path / "Tiny")
     (folder / "floors.txt").write_text(text)
     with pytest.raises(SceneError, match=r"floors\.txt"):
@@ -168,7 +168,7 @@ def test_labels_of_habitat_are_laid_on_the_mesh_and_its_up_axis_is_found(tmp_pat
     assert any("z axis" in warning for warning in imported.warnings)
 
 
-def test_colours_of_hm3d_say_which_object_is_which(tmp_path: Path) -> None:
+def test_colours_of_hm3d_identify_the_objects(tmp_path: Path) -> None:
     folder = tmp_path / "hm3d"
     folder.mkdir()
     floor, wall = [[0, 0, 0], [4, 0, 0], [4, 0, -4]], [[0, 0, 0], [4, 0, 0], [4, 3, 0]]
@@ -185,7 +185,7 @@ def test_colours_of_hm3d_say_which_object_is_which(tmp_path: Path) -> None:
 # Plain meshes
 
 
-def test_a_mesh_on_its_side_is_stood_up_and_that_is_said(tmp_path: Path) -> None:
+def test_a_mesh_on_its_side_is_turned_upright_and_that_is_reported(tmp_path: Path) -> None:
     corners, quads = room()
     write_obj(tmp_path / "scan.obj", turned(corners, 0, -90.0), quads)  # z up becomes y up
     imported = import_scene(tmp_path / "scan.obj", tmp_path / "out")
@@ -206,7 +206,7 @@ def test_a_scan_in_the_frame_of_its_camera_is_turned_over(tmp_path: Path) -> Non
     assert box[:, 2].min() == pytest.approx(vertices[:, 2].min())
 
 
-def test_the_user_says_axis_unit_and_name(tmp_path: Path) -> None:
+def test_axis_unit_and_name_can_be_given(tmp_path: Path) -> None:
     corners, quads = room()
     write_obj(tmp_path / "scan.obj", 100.0 * turned(corners, 0, -90.0), quads)
     assert (
@@ -234,7 +234,7 @@ def test_other_formats_are_refused_with_advice(tmp_path: Path, name: str, advice
         import_scene(tmp_path / name, tmp_path / "out")
 
 
-def test_nothing_at_all_is_an_error(tmp_path: Path) -> None:
+def test_a_missing_path_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(SceneNotFoundError):
         import_scene(tmp_path / "nowhere", tmp_path / "out")
 
@@ -255,7 +255,7 @@ SDF = """<sdf version='1.7'><world name='w'><model name='crate'><pose>1 2 0.5 0 
 </link></model></world></sdf>"""
 
 
-def test_shapes_of_a_world_that_differ_from_what_is_drawn_are_kept(tmp_path: Path) -> None:
+def test_collision_shapes_of_a_world_that_differ_from_its_visuals_are_kept(tmp_path: Path) -> None:
     (tmp_path / "w.world").write_text(SDF)
     source, imported = load_scene(tmp_path / "w.world"), import_scene(tmp_path / "w.world", tmp_path / "out").scene
     np.testing.assert_allclose(_bounds(imported), _bounds(source), atol=1e-5)
@@ -303,7 +303,7 @@ def test_a_scan_collides_in_its_simple_form_and_so_is_its_mended_copy(tmp_path: 
     assert report.scene is not None and [room.name for room in report.scene.rooms] == ["hall"]
 
 
-def test_many_things_that_do_not_hang_together_are_no_scan() -> None:
+def test_many_disconnected_objects_are_no_scan() -> None:
     corners, faces = _bumpy_room(101)
     loose = corners[faces].reshape(-1, 3)
     squares = np.arange(len(loose)).reshape(-1, 4)

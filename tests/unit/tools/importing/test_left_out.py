@@ -43,7 +43,7 @@ def test_a_model_without_its_mesh_is_drawn_as_its_collision_under_its_own_name(t
     assert any("table: is drawn as its collision shapes" in warning for warning in scene.warnings)
 
 
-def test_what_is_not_drawn_is_named_and_stays_a_thing_of_its_own(tmp_path: Path) -> None:
+def test_omitted_visuals_are_named_and_stay_separate_objects(tmp_path: Path) -> None:
     path = world(tmp_path, room=ROOM, room_guard=TABLE)
     assert any("room_guard: is invisible" in warning for warning in load_scene(path).warnings)
     imported = import_scene(path, tmp_path / "out")

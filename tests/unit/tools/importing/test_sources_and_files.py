@@ -37,7 +37,7 @@ def _touch(folder: Path, *names: str) -> None:
         (("scene.yaml", "mesh_z_up.obj"), SourceKind.GIBSON_SIM, "scene.yaml", 0),
     ],
 )
-def test_folders_are_told_by_what_lies_in_them(
+def test_layouts_of_folders_are_recognised_by_their_content(
     tmp_path: Path, names: tuple[str, ...], kind: SourceKind, file: str, semantics: int
 ) -> None:
     _touch(tmp_path, *names)
@@ -55,7 +55,7 @@ def test_folders_are_told_by_what_lies_in_them(
         ("a.yaml", SourceKind.GIBSON_SIM),
     ],
 )
-def test_files_are_told_by_their_names(tmp_path: Path, name: str, kind: SourceKind) -> None:
+def test_formats_of_files_are_recognised_by_their_names(tmp_path: Path, name: str, kind: SourceKind) -> None:
     _touch(tmp_path, name)
     assert identify(tmp_path / name).kind is kind
 

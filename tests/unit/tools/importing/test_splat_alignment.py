@@ -1,4 +1,4 @@
-"""Splats of a room, moved, turned and scaled, are brought back onto its mesh; what fits nowhere, or anywhere, is refused."""
+"""Splats of a room, moved, turned and scaled, are aligned with its mesh; splats that fit nowhere, or anywhere, are refused."""
 
 from __future__ import annotations
 

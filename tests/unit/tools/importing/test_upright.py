@@ -55,7 +55,7 @@ def _levels(*heights: float) -> tuple[np.ndarray, np.ndarray]:
 # Which way is up
 
 
-def test_a_furnished_room_is_turned_upright_from_any_side_or_said_to_be_unclear() -> None:
+def test_a_furnished_room_is_turned_upright_from_any_side_or_reported_as_ambiguous() -> None:
     found = [verdict(*NOISY, random_rotation(seed), 0.3) for seed in range(12)]
     assert "wrong" not in found and found.count("upright") >= 9, found
 
@@ -70,7 +70,7 @@ def test_a_room_37_degrees_off_every_axis_is_not_laid_on_a_wall() -> None:
 
 
 @pytest.mark.parametrize("shape", ["cube", "empty room"])
-def test_of_an_empty_room_nothing_is_sure_unless_it_is_upright_already(shape: str) -> None:
+def test_up_of_an_empty_room_is_uncertain_unless_it_is_already_upright(shape: str) -> None:
     corners, quads = box_faces((0, 0, 0), (3, 3, 3), inward=True) if shape == "cube" else room(furniture=False)
     for seed in range(4):
         assert not guess_up(corners @ random_rotation(seed).T, triangles(quads)).sure
@@ -78,7 +78,7 @@ def test_of_an_empty_room_nothing_is_sure_unless_it_is_upright_already(shape: st
     assert kept.sure and kept.tilt_deg < 0.01
 
 
-def test_what_is_not_clear_names_the_directions_to_choose_from() -> None:
+def test_an_ambiguous_up_axis_is_reported_with_the_candidate_directions() -> None:
     corners, quads = room(furniture=False)
     rotation = random_rotation(3)
     guess = guess_up(corners @ rotation.T, triangles(quads))
@@ -130,7 +130,7 @@ def test_a_level_room_with_floors_at_three_heights_is_mended_level(tmp_path: Pat
     assert not {"no-room", "no-floor", "not-level"} & {f.what for f in mended.findings}
 
 
-def test_what_would_check_worse_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_repair_that_makes_a_scene_worse_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     corners, quads = room()
     folder = tmp_path / "a"
     folder.mkdir()
@@ -144,7 +144,7 @@ def test_what_would_check_worse_is_not_written(tmp_path: Path, monkeypatch: pyte
     assert not (tmp_path / "b").exists()
 
 
-def test_only_what_could_be_told_before_counts_as_worse(tmp_path: Path) -> None:
+def test_only_findings_that_could_be_measured_before_are_regressions(tmp_path: Path) -> None:
     corners, quads = room()
     write_obj(tmp_path / "up.obj", corners, quads)
     write_obj(tmp_path / "side.obj", turned(corners, 0, -90.0), quads)
@@ -167,7 +167,7 @@ def test_directions_are_axes_or_three_numbers(text: str, expected: tuple[float, 
 
 
 @pytest.mark.parametrize("text", ["", "w", "0,0,0", "1,2", "nan,0,1", "1,2,3,4", "inf,0,0"])
-def test_other_directions_are_refused_in_words(text: str) -> None:
+def test_invalid_directions_are_refused_with_a_reason(text: str) -> None:
     with pytest.raises(ConfigError, match=r"--up is .*must be an axis, x, y, z, -x, -y, -z, or a direction"):
         direction(text)
 
@@ -177,7 +177,7 @@ def test_a_direction_is_written_as_it_is_read() -> None:
     assert direction(direction_text((0.48, 0.6, 0.64))) == pytest.approx((0.48, 0.6, 0.64), abs=1e-3)
 
 
-def test_what_is_level_near_a_given_direction_decides_the_rest() -> None:
+def test_a_given_direction_is_refined_by_level_surfaces_near_it() -> None:
     corners, quads = room()
     assert refine_up(turned(corners, 0, 5.0), triangles(quads), (0, 0, 1)) == pytest.approx(
         tuple(turned(np.array([[0.0, 0.0, 1.0]]), 0, 5.0)[0]), abs=1e-6
@@ -240,7 +240,7 @@ def test_up_of_an_imported_mesh_is_what_the_user_says(tmp_path: Path, said: str)
     assert facts is not None and facts.size[2] == pytest.approx(2.5, abs=1e-3) and facts.floors == pytest.approx((0.0,), abs=1e-3)
 
 
-def test_an_import_whose_up_is_not_clear_says_so(tmp_path: Path) -> None:
+def test_an_import_with_an_ambiguous_up_axis_is_reported(tmp_path: Path) -> None:
     write_obj(tmp_path / "box.obj", room(furniture=False)[0] @ random_rotation(5).T, room(furniture=False)[1])
     (warning, *_) = import_scene(tmp_path / "box.obj", tmp_path / "out").warnings
     assert "which way is up is not clear" in warning and "--up-axis=" in warning
@@ -261,7 +261,7 @@ def _laid_on_a_wall(folder: Path, vertices: np.ndarray, faces: np.ndarray) -> Pa
     return folder
 
 
-def test_a_levelling_that_laid_a_scan_on_a_wall_is_taken_back(tmp_path: Path) -> None:
+def test_a_levelling_that_laid_a_scan_on_a_wall_is_reverted(tmp_path: Path) -> None:
     vertices, faces = NOISY
     report = check_path(_laid_on_a_wall(tmp_path / "a", vertices, faces))
     assert report.facts is not None and report.facts.tilt_deg == pytest.approx(90.0, abs=0.5)
@@ -374,7 +374,7 @@ def test_a_wall_with_cupboards_is_not_taken_for_a_floor_with_furniture() -> None
             assert not guess.sure or float(np.asarray(guess.up) @ rotation[:, 2]) > 0.99
 
 
-def test_what_tells_up_from_down_hardly_depends_on_how_the_mesh_is_turned() -> None:
+def test_cues_for_up_hardly_depend_on_the_rotation_of_the_mesh() -> None:
     cues = []
     for seed in range(6):
         rotation = random_rotation(seed)
@@ -384,7 +384,7 @@ def test_what_tells_up_from_down_hardly_depends_on_how_the_mesh_is_turned() -> N
     assert np.ptp(np.array(cues), axis=0).max() < 0.08, np.round(cues, 2)
 
 
-def test_the_floor_of_a_scene_that_sloped_is_found_anew(tmp_path: Path) -> None:
+def test_the_floor_of_a_levelled_scene_is_recomputed(tmp_path: Path) -> None:
     corners, quads = room()
     write_obj(tmp_path / "room.obj", turned(corners + np.array([2.0, 1.0, 0.0]), 1, 12.0), quads)
     report = check_path(tmp_path / "room.obj")
@@ -412,7 +412,7 @@ def test_a_scan_that_stands_on_a_wall_or_its_ceiling_does_not_pass_for_upright(s
     assert verdict(vertices, kept, np.eye(3)) == "upright"
 
 
-def test_what_is_unclear_stays_so_until_the_user_says_which_way_is_up(
+def test_ambiguous_scenes_stay_so_until_the_up_direction_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     corners, quads = room()

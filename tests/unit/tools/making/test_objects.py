@@ -82,7 +82,7 @@ def test_a_wall_of_boxes_stays_within_its_radius() -> None:
         assert max(radii) == pytest.approx(0.1, abs=0.006)
 
 
-def test_there_are_more_than_thirty_objects_and_all_that_were_promised() -> None:
+def test_at_least_thirty_objects_exist_including_all_required_ones() -> None:
     assert len(OBJECTS) >= 30
     assert {"mug", "chair_wooden", "cabinet_drawers", "fridge_body", "oven_body", "window_casement", *door_names()} <= set(
         OBJECTS
@@ -130,7 +130,7 @@ def test_the_files_are_those_that_the_command_writes(name: str, folder: Path, lo
 
 
 @pytest.mark.parametrize("name", [name for name, one in OBJECTS.items() if not one.built_in])
-def test_what_stands_has_its_origin_in_the_middle_of_its_underside(name: str, folder: Path, loader: MeshLoader) -> None:
+def test_standing_objects_have_their_origin_at_the_centre_of_the_underside(name: str, folder: Path, loader: MeshLoader) -> None:
     model = model_of(OBJECTS[name], folder)
     vertices = np.concatenate([loader.shape(v.shape).merged()[0] for v in model.links[0].visuals])
     assert vertices[:, 2].min() == pytest.approx(0.0, abs=5e-4)
@@ -177,9 +177,7 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
     assert [one.name for one in select_objects(["mug", "cup"])] == ["cup", "mug"]
 
 
-def test_a_python_that_is_not_there_or_has_no_blender_is_said_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_python_or_blender_is_reported_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program, "write_pictures", lambda folder, names: None)
     with pytest.raises(GibsonSimError, match=r"/nowhere/python cannot be run.*--blender-python"):
         make_objects(["cup"], tmp_path, "/nowhere/python", print)

@@ -37,7 +37,7 @@ def moved(building: Building, piece: Piece, position: tuple[float, float, float]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nothing_is_wrong_with_a_plan(kind: BuildingKind) -> None:
+def test_a_plan_has_no_faults(kind: BuildingKind) -> None:
     assert check_building(planned(kind)) == []
 
 
@@ -72,7 +72,7 @@ def test_a_house_has_two_storeys_and_a_stair_that_ends_on_the_upper_floor() -> N
 
 
 @pytest.mark.parametrize("kind", ["flat", "house"])
-def test_a_home_has_what_one_lives_with(kind: BuildingKind) -> None:
+def test_a_home_has_the_usual_furniture(kind: BuildingKind) -> None:
     home = planned(kind)
     assert {"sofa", "television", "dining_table", "kitchen_sink", "extractor_hood", "wardrobe", "toilet", "basin"} <= {
         p.kind for p in home.pieces
@@ -82,7 +82,7 @@ def test_a_home_has_what_one_lives_with(kind: BuildingKind) -> None:
     assert models & {"cabinet_drawers", "cabinet_doors"}
 
 
-def test_an_office_and_a_shop_have_what_one_works_with() -> None:
+def test_an_office_and_a_shop_have_the_usual_equipment() -> None:
     assert {"desk", "office_chair", "monitor", "meeting_table", "panel_lamp"} <= {p.kind for p in planned("office").pieces}
     assert {"gondola", "wall_shelf", "till", "display_fridge"} <= {p.kind for p in planned("shop").pieces}
 

@@ -144,7 +144,7 @@ def test_walls_end_at_the_inner_corners_and_leave_their_openings_free() -> None:
     assert floor[:, 0].max() == pytest.approx(2.95) and floor[:, 1].max() == pytest.approx(2.4)
 
 
-def test_a_wall_that_runs_askew_is_refused() -> None:
+def test_a_wall_that_is_not_axis_aligned_is_refused() -> None:
     building = two_rooms()
     askew = Wall((0, 0), (3, 1), 0.2, 2.4, "living", "")
     storey = Storey(0.0, 2.4, building.storeys[0].rooms, (askew,))
@@ -165,7 +165,7 @@ def test_charts_do_not_touch_and_lie_within_their_atlas() -> None:
     assert used.max() == 1
 
 
-def test_what_cannot_fit_is_refused() -> None:
+def test_charts_that_do_not_fit_are_refused() -> None:
     with pytest.raises(SceneError, match="do not fit"):
         place_charts(np.ones((5000, 2)), np.ones(5000), 1, 64)
 
@@ -179,7 +179,7 @@ def test_gaps_get_the_colour_of_the_chart_beside_them() -> None:
     assert np.allclose(result[:, 3], (1, 0, 0)) and np.allclose(result[:, 4], (0, 0, 1))
 
 
-def test_what_lies_within_something_else_is_found_and_single_dark_pixels_are_left() -> None:
+def test_hidden_texels_are_found_and_single_dark_texels_are_kept() -> None:
     openness = np.ones((8, 12), dtype=np.float32)
     openness[:, 4] = openness[6, 8:11] = openness[1, 9] = openness[2, 9] = 0.0
     covered = np.ones((8, 12), dtype=bool)
@@ -204,7 +204,7 @@ def test_a_gap_without_anything_near_is_filled() -> None:
     assert fill_gaps_mirrored(image * covered[..., None], covered)[60, 60, 0] == pytest.approx(3.0)
 
 
-def test_what_is_baked_on_an_upper_floor_is_not_covered_by_the_lid_of_the_lower() -> None:
+def test_light_baked_on_an_upper_floor_is_not_occluded_by_the_lid_of_the_lower() -> None:
     things = build_shell(plan_building("house", 0))
     lids = [thing.solid.parts[0].vertices[:, 2] for thing in things if thing.name.startswith("lid")]
     heights = [thing.solid.parts[0].vertices[:, 2] for thing in things if thing.name.startswith(("floor", "ceiling"))]
@@ -266,7 +266,7 @@ def test_a_mesh_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert part.material.unlit and part.material.base_color == pytest.approx((0.5, 0.25, 1.0, 1.0), abs=1e-3)
 
 
-def test_a_mirror_shows_its_picture_upright_and_not_exchanged() -> None:
+def test_a_mirror_image_is_upright_and_not_flipped() -> None:
     image = np.zeros((20, 20, 3), dtype=np.float32)
     shown = np.zeros((2, 2, 3), dtype=np.float32)
     shown[0, 1] = 1.0  # lower right

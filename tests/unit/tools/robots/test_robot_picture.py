@@ -1,4 +1,4 @@
-"""The picture of a robot tells which way is front."""
+"""The picture of a robot shows its front."""
 
 from __future__ import annotations
 

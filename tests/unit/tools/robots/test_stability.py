@@ -40,7 +40,7 @@ def test_margin_and_tipping_accelerations_are_those_of_statics() -> None:
         assert stable.tipping_acceleration(direction) == pytest.approx(9.81 * distance / 0.4)
 
 
-def test_what_stands_on_a_line_or_beside_its_feet_falls_over() -> None:
+def test_a_robot_supported_on_a_line_or_outside_its_feet_tips_over() -> None:
     on_a_line = stability(table(FEET[:2]), {"base": np.eye(4)})
     assert (len(on_a_line.support), on_a_line.margin, on_a_line.tipping_acceleration((1.0, 0.0))) == (2, 0.0, 0.0)
     beside = stability(table(mass_at="0.5 0 0.4"), {"base": np.eye(4)})

@@ -96,7 +96,7 @@ def test_a_layout_is_found_and_gives_images_metres_and_poses(make, layout, tmp_p
     assert [f.T_world_camera[0, 3] for f in frames] == pytest.approx([0.0, 1.0, 2.0])
 
 
-def test_an_unknown_layout_lists_what_is_known(tmp_path):
+def test_an_unknown_layout_is_refused_with_the_known_ones(tmp_path):
     with pytest.raises(ScanError) as error:
         open_posed_rgbd(tmp_path)
     assert all(layout.name in str(error.value) for layout in LAYOUTS)
@@ -180,7 +180,7 @@ def test_a_file_that_may_hold_intrinsics_and_is_not_read_is_named(tmp_path):
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"width": 12, "height": 8, "intrinsic_matrix": [1, 2]}', '{"intrinsic_matrix": "x"}']
 )
-def test_a_file_of_open3ds_name_that_holds_none_is_an_error(tmp_path, text):
+def test_an_open3d_intrinsics_file_without_intrinsics_is_an_error(tmp_path, text):
     folder = open3d_folder(tmp_path / "set")
     (folder / "camera_intrinsic.json").write_text(text)
     with pytest.raises(ScanError, match=r"camera_intrinsic\.json"):
@@ -208,7 +208,7 @@ def test_the_depth_scale_can_be_given(tmp_path):
     assert open_posed_rgbd(open3d_folder(tmp_path / "set"), depth_scale=5000.0)[0].depth[4, 4] == pytest.approx(0.3)
 
 
-def test_open3d_without_poses_says_where_it_looked(tmp_path):
+def test_open3d_without_poses_names_the_searched_files(tmp_path):
     folder = open3d_folder(tmp_path / "set")
     (folder / "trajectory.log").unlink()
     with pytest.raises(ScanError, match=r"no poses; looked for trajectory\.log"):
@@ -230,7 +230,7 @@ def test_seven_scenes_names_the_frame_without_a_pose(tmp_path):
 
 
 @pytest.mark.parametrize(("values", "why"), [("nan", "NaN"), ("2 0 0 0", "rigid"), ("one 0 0 0", "four numbers")])
-def test_a_pose_that_is_none_is_refused(values, why, tmp_path):
+def test_an_invalid_pose_is_refused(values, why, tmp_path):
     folder = seven_scenes_folder(tmp_path / "set")
     row = values if " " in values else " ".join([values] * 4)
     (folder / "frame-000002.pose.txt").write_text(f"{row}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
@@ -245,7 +245,7 @@ def test_tum_takes_the_pose_at_the_time_of_the_colours(tmp_path):
     assert open_posed_rgbd(folder, focal=FOCAL).poses[1, 0, 3] == pytest.approx(1.05)
 
 
-def test_tum_leaves_out_what_has_no_pose_and_says_so(tmp_path):
+def test_tum_leaves_out_frames_without_a_pose_and_reports_them(tmp_path):
     folder = tum_folder(tmp_path / "set")
     lines = (folder / "groundtruth.txt").read_text().splitlines()
     (folder / "groundtruth.txt").write_text("\n".join(lines[:15]) + "\n")
@@ -292,7 +292,7 @@ def test_an_interrupted_scan_says_how_to_finish_it(tmp_path):
         (lambda p: p.unlink(), "cannot be read"),
     ],
 )
-def test_a_depth_image_that_is_none_is_refused_when_it_is_read(spoil, why, tmp_path):
+def test_an_invalid_depth_image_is_refused_when_it_is_read(spoil, why, tmp_path):
     rgbd = open_posed_rgbd(open3d_folder(tmp_path / "set"))
     spoil(rgbd.files[1].depth)
     assert rgbd[0].number == 0

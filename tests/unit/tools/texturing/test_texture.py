@@ -210,7 +210,7 @@ def test_the_command_makes_a_scene(tmp_path, capsys):
         (["--most-photographs", "1"], "--most-photographs 1: must be 2 or more"),
     ],
 )
-def test_options_that_cannot_be_are_refused(tmp_path, capsys, words, said):
+def test_impossible_options_are_refused(tmp_path, capsys, words, said):
     with pytest.raises(SystemExit) as end:
         main(["scene", "texture", str(tmp_path), "wall.ply", "--output", str(tmp_path / "made"), *words])
     assert end.value.code != 0 and said in capsys.readouterr().err

@@ -48,7 +48,7 @@ def item(
     return FurnishingItem(kind, (x, y), more.get("yaw", 0.0), size, more.get("lift", 0.0))
 
 
-def test_an_item_knows_its_box_and_what_is_before_it() -> None:
+def test_an_item_has_a_box_and_a_zone_in_front() -> None:
     chair = item(2.0, 1.0, (0.5, 1.0, 0.8), yaw=math.pi / 2, lift=0.1)
     assert chair.rect == pytest.approx((1.5, 0.75, 2.5, 1.25))
     assert (chair.box.z0, chair.box.z1) == pytest.approx((0.1, 0.9))
@@ -70,7 +70,7 @@ def test_an_item_knows_its_box_and_what_is_before_it() -> None:
         (item(0.7, 0.7, (0.5, 0.5, 0.01), kind="rug"), True),  # rugs may be walked on
     ],
 )
-def test_what_fits_leaves_doors_windows_and_walls_alone(candidate: FurnishingItem, fits: bool) -> None:
+def test_an_item_fits_only_clear_of_doors_windows_and_walls(candidate: FurnishingItem, fits: bool) -> None:
     assert furnished().fits(candidate) is fits
 
 
@@ -85,7 +85,7 @@ def test_placed_items_take_their_place_and_keep_their_fronts_free() -> None:
     assert (piece.name, piece.position, piece.storey) == ("room_armchair", (3.0, 2.0, 0.0), 0)
 
 
-def test_what_would_cut_a_front_off_from_the_door_is_not_placed() -> None:
+def test_an_item_that_blocks_the_path_from_the_door_to_a_front_is_not_placed() -> None:
     room = furnished()
     assert room.place([item(4.6, 3.6, (0.6, 0.6, 0.6))], [Rect(4.3, 2.6, 4.9, 3.2)])
     # A shelf across the room leaves a gap of 0.4 m, less than a way.
@@ -222,7 +222,7 @@ def test_the_most_open_place_of_an_empty_room_is_its_middle_line() -> None:
     assert grid.most_open(view().cells, 2.5) is None
 
 
-def test_bodies_on_the_floor_are_in_the_way_if_they_count() -> None:
+def test_bodies_on_the_floor_are_obstacles_if_included() -> None:
     box = Body("box", "box_cardboard", (2.5, 2.0, 0.0))
     with_it, without_it = (
         FloorGrid(_building(bodies=(box,)), 0, {"room": view()}, with_bodies=counts).free.sum() for counts in (True, False)
