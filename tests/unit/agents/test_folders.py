@@ -62,6 +62,10 @@ def test_a_name_like_a_known_one_is_a_hint(folder: Path) -> None:
         Folders([folder]).name_or_file("gibson_boot", ["gibson_bot"], "robot")
     with pytest.raises(ConfigError, match="which has none: start the server with `--folder DIR`"):
         Folders([]).name_or_file("robot.yaml", ["gibson_bot"], "robot")
+    with pytest.raises(ConfigError, match=r"scene 'nowhere' is neither .*; known names: flat, hall"):
+        Folders([folder]).name_or_file("nowhere", ["flat", "hall"], "scene")
+    with pytest.raises(ConfigError, match="known names: `list_names` lists all 30"):
+        Folders([folder]).name_or_file("nowhere", [f"scene_{k}" for k in range(30)], "scene")
 
 
 def test_new_folders_are_new_and_inside(folder: Path) -> None:

@@ -55,7 +55,12 @@ class Folders:
         where = (
             f"a file in {self._listed()}" if self._folders else f"a file in a folder of this server, which has none: {_REMEDY}"
         )
-        raise ConfigError(f"{what} {quoted(text)} is neither a known name nor {where}{f'; {hint}' if hint else ''}")
+        names = (
+            f"known names: `list_names` lists all {len(known)}"
+            if len(known) > _MOST_NAMED
+            else f"known names: {', '.join(known)}"
+        )
+        raise ConfigError(f"{what} {quoted(text)} is neither a known name nor {where}; {hint or names}")
 
     def new_folder(self, text: str, kind: str) -> Path:
         """Returns the path of a folder that does not exist yet, within the named folders.
@@ -93,3 +98,5 @@ class Folders:
 
 
 _REMEDY = "start the server with `--folder DIR`"
+_MOST_NAMED = 20
+"""Maximum number of known names in a message."""
