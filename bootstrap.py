@@ -718,6 +718,12 @@ def main() -> int:
             print("\n".join(error.log.read_text(errors="replace").splitlines()[-30:]), file=sys.stderr)
         print(f"error: {error}", file=sys.stderr)
         return 1
+    except OSError as error:
+        print(
+            f"error: {error.filename or venv}: {error.strerror or error}; the environment is {venv}: VENV=DIR chooses another folder",
+            file=sys.stderr,
+        )
+        return 1
     except KeyboardInterrupt:
         print("error: interrupted; the next `make setup` continues", file=sys.stderr)
         return 130

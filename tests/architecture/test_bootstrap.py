@@ -41,6 +41,17 @@ def test_folder_not_created_by_the_set_up_is_left_alone(bootstrap: ModuleType, t
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
+def test_folder_that_cannot_be_made_is_an_error_of_one_line(
+    bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    monkeypatch.setattr(sys, "argv", ["bootstrap.py", "--venv", str(file)])
+    assert bootstrap.main() == 1
+    text = capsys.readouterr().err
+    assert text.startswith(f"error: {file}: ") and "VENV=DIR chooses another folder" in text and text.count("\n") == 1
+
+
 def test_missing_parts_are_named_with_their_packages(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bootstrap, "missing_system_parts", lambda: ["a C++ compiler", "a driver for EGL"])
     monkeypatch.setattr(bootstrap.os, "geteuid", lambda: 1000)
