@@ -137,7 +137,7 @@ def reopen_replaced_ports() -> list[str]:
 def _mark_in_memory(address: int, number: int) -> bool:
     """Marks a port that is mapped at an address of this process as unusable; returns False if it is marked, or is not found there."""
     try:
-        # Other than a pointer, this file gives an error where Fast DDS has closed the port meanwhile.
+        # Unlike a pointer, this file gives an error if Fast DDS has closed the port meanwhile.
         with open("/proc/self/mem", "r+b", buffering=0) as memory:
             segment = os.pread(memory.fileno(), _SEARCHED_BYTES, address)
             at = _flags_place(segment, number)
