@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from gibson_sim.errors import AlreadyRunningError
-from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.reach import PROFILE_VARIABLE, RANGE_VARIABLE
+from gibson_sim.testing.processes import free_domains
 from support import strict
 from support.simulation import Listener, new_context, require
 
@@ -58,14 +58,23 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def ros_domain() -> Iterator[int]:
-    """A domain without a simulation; this process and its children talk in it, on this machine alone."""
+    """A domain of its own for this process and its children, on this machine alone.
+
+    A socket keeps it: one of the domain's ports is in use during the whole session, so that neither the other worker nor a
+    ``HeadlessSimulation``, also of another program, takes the domain while no node runs in it.
+    """
     require("rclpy", "gibson_msgs")
-    for domain_id in range(60 + os.getpid() % 40, 200):
-        try:
-            DomainLock(domain_id).close()
-        except AlreadyRunningError:
-            continue
-        break
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as guard:
+        for domain_id in free_domains("60-101", os.getpid()):
+            try:
+                guard.bind(("127.0.0.1", 7400 + 250 * domain_id + 8))  # none that Fast DDS uses
+            except OSError:
+                continue
+            break
+        yield from _environment_of(domain_id)
+
+
+def _environment_of(domain_id: int) -> Iterator[int]:
     changes = {
         "ROS_DOMAIN_ID": str(domain_id),
         RANGE_VARIABLE: "SYSTEM_DEFAULT",

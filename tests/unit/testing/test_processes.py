@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import socket
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import ConfigError, GibsonSimError
-from gibson_sim.processes.domain_lock import DomainLock
+from gibson_sim.processes.domain_lock import DomainLock, domains_in_use
+from gibson_sim.testing import processes
 from gibson_sim.testing.processes import Program, free_domains, variables_set
 from support.simulation import wait_until
 
@@ -61,7 +64,8 @@ def test_a_command_is_a_list_of_words(command: object, tmp_path: Path) -> None:
         Program(command, {}, tmp_path)  # type: ignore[arg-type]
 
 
-def test_a_domain_with_a_simulation_is_left_out() -> None:
+def test_a_domain_with_a_simulation_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "domains_in_use", set)  # those above 101 have ports that any program may use
     lock = DomainLock(211)
     try:
         found = free_domains("210-212", 1)  # begins with 211
@@ -70,6 +74,17 @@ def test_a_domain_with_a_simulation_is_left_out() -> None:
             next(found)
     finally:
         lock.close()
+
+
+@pytest.mark.parametrize(("family", "address"), [(socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")])
+def test_a_domain_with_nodes_is_used_last(family: int, address: str) -> None:
+    """A stack of another user talks there: a simulation of a test would drive its robot."""
+    begin = next(free_domains("0-50", os.getpid()))
+    with socket.socket(family, socket.SOCK_DGRAM) as participant:
+        participant.bind((address, 7400 + 250 * begin + 249))
+        found = list(itertools.islice(free_domains("0-50", begin), 51 - len(domains_in_use() & set(range(51)))))
+    assert begin not in found and found[0] == next(free_domains("0-50", begin + 1))
+    assert list(itertools.islice(free_domains(str(begin), 0), 1)) == [begin]
 
 
 @pytest.mark.parametrize("text", ["", "a", "5-3", "200-232", "-3"])

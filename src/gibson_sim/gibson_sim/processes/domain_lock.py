@@ -18,6 +18,8 @@ from gibson_sim.errors import AlreadyRunningError, EnvironmentProblemError
 
 _CREDENTIALS = struct.Struct("3i")
 """Format of SO_PEERCRED (unix(7)): process id, user id, group id."""
+_FIRST_PORT, _PORTS_PER_DOMAIN = 7400, 250
+"""UDP ports of a DDS domain: PB and DG of the RTPS specification, section 9.6.1.1."""
 _BACKLOG = 4096
 """Length of the socket's queue. Refused processes stay in it, since the holder never accepts; when it is full, errors do not name the holder."""
 
@@ -59,6 +61,22 @@ def is_held(domain_id: int) -> bool:
     except OSError:
         return False
     return any(line.endswith(f" @{_name(domain_id)}") for line in sockets)
+
+
+def domains_in_use() -> set[int]:
+    """Returns the ROS domains in which a participant of this machine's network namespace has a UDP port, of any vendor of DDS.
+
+    A participant with shared memory alone is not seen. In domains above 101, another program's ephemeral port looks like a participant.
+    """
+    found = set()
+    for table in ("udp", "udp6"):
+        try:
+            lines = Path("/proc/net", table).read_text().splitlines()[1:]
+        except OSError:
+            continue
+        ports = [int(line.split()[1].rpartition(":")[2], 16) for line in lines]
+        found |= {(port - _FIRST_PORT) // _PORTS_PER_DOMAIN for port in ports if port >= _FIRST_PORT}
+    return found
 
 
 def _name(domain_id: int) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from gibson_sim.errors import AlreadyRunningError, ConfigError, GibsonSimError
-from gibson_sim.processes.domain_lock import DomainLock
+from gibson_sim.processes.domain_lock import DomainLock, domains_in_use
 from gibson_sim.processes.job_folder import VARIABLE
 from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.quoting import quoted
@@ -191,7 +191,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def free_domains(text: str, begin: int) -> Iterator[int]:
-    """Yields the ROS domains of a range in which no simulation is running, from a given position onwards.
+    """Yields the ROS domains of a range in which no simulation is running, from a given position onwards; first those without any node.
 
     Args:
         text: ``first-last``, or a single number.
@@ -204,8 +204,9 @@ def free_domains(text: str, begin: int) -> Iterator[int]:
     if not (first.isdecimal() and (last or first).isdecimal() and int(first) <= int(last or first) <= 231):
         raise ConfigError(f"the ROS domains of simulations are {quoted(text)}, must be a range such as {DOMAINS}, from 0 to 231")
     domains = range(int(first), int(last or first) + 1)
-    for offset in range(len(domains)):
-        domain = domains[(begin + offset) % len(domains)]
+    begin %= len(domains)
+    in_use = domains_in_use()
+    for domain in sorted([*domains[begin:], *domains[:begin]], key=in_use.__contains__):
         try:
             DomainLock(domain).close()
         except AlreadyRunningError:
