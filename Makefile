@@ -26,6 +26,9 @@ help:
 	@echo 'make wheels             set up, then build the wheels that pip installs, in out/wheels; publishes nothing'
 	@echo 'make clean              remove $(VENV) and all build outputs'
 
+# With this variable, each of the thousands of processes of the tests would compile all modules that it imports: 2 s for a node.
+unexport PYTHONDONTWRITEBYTECODE
+
 setup:
 	@$(PYTHON) bootstrap.py --venv '$(VENV)'
 

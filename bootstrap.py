@@ -69,7 +69,7 @@ PARENTS = "share/ament_index/resource_index/parent_prefix_path"
 MANIFESTS = "gibson_setup/messages"
 """Folder, below the same, with a list of installed files for each message package."""
 PIP = ("--disable-pip-version-check", "--no-compile")
-"""Options of pip. Python compiles a module when it is first imported, which few of them are."""
+"""Options of pip. Python compiles a module when it is first imported, which few of them are; ``FIRST_IMAGE`` imports what nodes need."""
 KEPT_BUILDS = 4
 """Builds of the message packages, and of the loops, that the user's cache keeps, the most recently used ones."""
 
@@ -127,6 +127,8 @@ COMPILED = tuple(
 """Modules with numeric loops that Numba compiles."""
 FIRST_IMAGE = """
 import gibson_sim as gs
+import gibson_sim.cli.commands.run, gibson_sim.ros.nodes.physics_node, gibson_sim.ros.nodes.record_node, gibson_sim.ros.nodes.render_node
+import gibson_sim.ros.nodes.drive_node, gibson_sim.ros.nodes.web_node
 with gs.Simulation("linden_flat") as sim:
     sim.step(seconds=0.1)
     sim.render("camera", outputs=["rgb", "depth", "hole"])
@@ -138,7 +140,7 @@ from gibson_sim.render.draw.splat_raster import COLUMNS, blend_tiles, place_in_t
 tiled = place_in_tiles(fixed(np.ones((1, COLUMNS), np.float32)), 16, 16)
 blend_tiles(*tiled, fixed(np.zeros((16, 16), np.float32)), np.zeros((16, 16, 4), np.float32), 0, 1)
 """
-"""Program that runs all of these loops."""
+"""Program that runs all of these loops and imports the nodes."""
 
 
 class SetupError(Exception):
@@ -207,7 +209,7 @@ def step(text: str) -> Iterator[None]:
 
 def clean_environment(venv: Path) -> dict[str, str]:
     """Returns the environment variables for programs of ``venv``, without those of another installation."""
-    env = {k: v for k, v in os.environ.items() if k not in FOREIGN and k != BOOTSTRAPPED}
+    env = {k: v for k, v in os.environ.items() if k not in (*FOREIGN, BOOTSTRAPPED, "PYTHONDONTWRITEBYTECODE")}
     env["PATH"] = f"{venv / 'bin'}{os.pathsep}{env.get('PATH', os.defpath)}"
     env["PYTHONNOUSERSITE"] = "1"
     return env
@@ -608,7 +610,9 @@ def install_project(venv: Path) -> bool:
 
 
 def draw_first_image(venv: Path) -> bool:
-    """Steps and draws a scene once: it compiles the numeric loops, for which the first simulation would wait. Returns whether it did."""
+    """Steps and draws a scene once, and imports the nodes: this compiles the numeric loops and the modules, for which the first simulation
+    would wait; each one, if PYTHONDONTWRITEBYTECODE is set or another user owns the environment. Returns whether it did.
+    """
     package = ROOT / "src" / "gibson_sim" / "gibson_sim"
     sources = [package / "geometry" / "compiling.py", *COMPILED]
     stamp = Stamp(venv, "first_image", digest(sources, str(venv)))

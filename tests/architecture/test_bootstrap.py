@@ -98,6 +98,11 @@ def test_another_ros_installation_stays_outside(bootstrap: ModuleType, monkeypat
     assert env["PATH"].split(":")[0] == "/venv/bin"
 
 
+def test_the_set_up_compiles_modules_also_where_python_must_not(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    assert "PYTHONDONTWRITEBYTECODE" not in bootstrap.clean_environment(Path("/venv"))
+
+
 def test_packages_installed_in_place_are_put_into_the_ament_index(bootstrap: ModuleType, tmp_path: Path) -> None:
     project, venv = tmp_path / "robot_shop", tmp_path / "venv"
     metadata = venv / "lib/python3.11/site-packages/robot_shop-0.1.0.dist-info/entry_points.txt"
