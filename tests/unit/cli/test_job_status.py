@@ -47,6 +47,7 @@ def test_ready_lines_name_the_page_that_is_served_and_what_drives(folder: Path) 
     _note(folder, PAGE, "http://127.0.0.1:8080/")
     status = JobStatus(folder, ["physics", "web"])
     assert "look: http://127.0.0.1:8080/" in status.ready_lines(Hints(0))
+    assert "look: http://127.0.0.1:8080/ (port 8080 is taken)" in status.ready_lines(Hints(0, taken_port=8080))
     assert any(line.startswith("drive: W A S D on the page") for line in status.ready_lines(Hints(0)))
     driven = status.ready_lines(Hints(0, "the drive tour commands the robot", "after 5 s or Ctrl-C", paused=True))
     assert driven[1:] == [

@@ -29,6 +29,8 @@ class Hints:
     """Condition that ends the job."""
     paused: bool = False
     """Whether time starts only on request."""
+    taken_port: int = 0
+    """Default port of the page if another program has it, so that the page got another one; 0 = it is as usual."""
 
 
 class JobStatus:
@@ -64,7 +66,8 @@ class JobStatus:
             lines.append(f"cameras: {cameras or 'none'}")
         if any(robot["drives"] for robot in loaded.get("robots", ())):
             lines.append(f"drive: {drive}")
-        lines.append(f"look: {page or f'`gibson-sim web{where}` in a second terminal serves a page for your browser'}")
+        taken = f" (port {hints.taken_port} is taken)" if page and hints.taken_port else ""
+        lines.append(f"look: {page or f'`gibson-sim web{where}` in a second terminal serves a page for your browser'}{taken}")
         if hints.paused:
             lines.append(f"time: paused; `gibson-sim play{where}` starts it")
         return [*lines, f"stop: {hints.stop}"]

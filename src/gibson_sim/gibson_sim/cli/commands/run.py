@@ -217,7 +217,9 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
     drive = f"the drive {args.drive} commands the robot" if args.drive else ""
     ends = [f"after {config.duration:g} s of simulation time"] * bool(config.duration) + ["at the end of the drive"] * bool(drive)
     ends += ["when the images are written"] * bool(args.snapshot)
-    job.hints = Hints(domain, drive, f"{', '.join(ends)} or Ctrl-C" if ends else "Ctrl-C", config.start_paused)
+    web = job.configs.get("web")
+    taken_port = WebConfig().port if web and not web.port and args.web_port is None else 0
+    job.hints = Hints(domain, drive, f"{', '.join(ends)} or Ctrl-C" if ends else "Ctrl-C", config.start_paused, taken_port)
     return job
 
 

@@ -231,14 +231,17 @@ def _open_best(egl: Egl, handles: list[int]) -> GlContext:
     if fallback is None:
         raise GraphicsUnavailableError(f"cannot draw: no EGL device works ({'; '.join(problems)}): {REMEDY}")
     fallback.make_current()
-    reason = f" ({'; '.join(problems)})" if problems else ""
-    _warn_once(f"no GPU can draw{reason}: drawing in software, on EGL device {fallback.device.index}, {fallback.device.renderer}")
+    software = f"drawing in software, on EGL device {fallback.device.index}, {fallback.device.renderer}"
+    if problems:
+        _log_once(logging.WARNING, f"no GPU can draw ({'; '.join(problems)}): {software}")
+    else:
+        _log_once(logging.INFO, f"no GPU here: {software}")
     return fallback
 
 
 @cache
-def _warn_once(text: str) -> None:
-    _log.warning("%s", text)
+def _log_once(level: int, text: str) -> None:
+    _log.log(level, "%s", text)
 
 
 def _run_probe(library: str, start: int) -> tuple[list[dict[str, Any]], str]:

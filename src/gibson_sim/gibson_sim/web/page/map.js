@@ -12,7 +12,7 @@ export class FloorMap {
     this.canvas = canvas; this.context = canvas.getContext('2d'); this.on = on;
     this.mode = 'look'; this.grid = null; this.grids = []; this.floors = [{ z: 0, map: null }]; this.shown = 0; this.followed = true; this.robots = []; this.scan = []; this.paths = []; this.places = []; this.entities = []; this.doors = [];
     this.rooms = []; this.estimates = []; this.target = null; this.selected = ''; this.chosen = ''; this.view = null; this.drag = null; this.cursor = null; this.hover = ''; this.pending = false;
-    this.pointers = new Map();
+    this.pointers = new Map(); this.labels = []; this.marks = [];
     new ResizeObserver(() => { if (!this.moved) this.view = null; this.draw(); }).observe(canvas);
     canvas.onpointerdown = (event) => this.down(event);
     canvas.onpointermove = (event) => this.move(event);
@@ -243,7 +243,7 @@ export class FloorMap {
     for (const r of this.here(this.robots)) {
       const mine = r.namespace === this.chosen || this.robots.length === 1;
       this.arrow(r.x, r.y, r.yaw, Math.max(9, r.radius * scale), color(mine ? '--accent' : '--soft'), true);
-      this.mark(r.x, r.y, Math.max(9, r.radius * scale));
+      this.mark(r.x, r.y, Math.max(9, r.radius * scale), true);
       this.drawn.set(mine ? 'robot' : 'other', mine ? 'robot' : 'other robot');
       if (this.robots.length > 1) this.label(r.name, r.x, r.y, Math.max(12, r.radius * scale + 4), color('--text'), ROBOT);
     }
@@ -278,8 +278,8 @@ export class FloorMap {
     [this.context, this.view] = own;
   }
 
-  // Notes a symbol around a point (m), of a radius in pixels, which labels leave free.
-  mark(x, y, radius) { const [px, py] = this.screen(x, y); this.marks.push([px - radius, py - radius, px + radius, py + radius]); }
+  // Notes a symbol around a point (m), of a radius in pixels, which labels leave free: those of rooms where they can, or always for a robot.
+  mark(x, y, radius, robot = false) { const [px, py] = this.screen(x, y); this.marks.push([px - radius, py - radius, px + radius, py + radius, robot]); }
 
   ghost(d, color) {
     const c = this.context, [x0, y0] = this.screen(d.thing.x, d.thing.y), [x, y] = this.screen(d.thing.x + d.to[0] - d.x, d.thing.y + d.to[1] - d.y);
@@ -308,13 +308,13 @@ export class FloorMap {
   // written and the edges. A label that fits nowhere is left out, unless it is marked or of a robot.
   writeLabels(w, h, halo) {
     const c = this.context, written = [], names = [];
-    const free = (box) => !this.marks?.some((b) => box[0] < b[2] && box[2] > b[0] && box[1] < b[3] && box[3] > b[1]);
+    const over = (box, marks) => marks.some((b) => box[0] < b[2] && box[2] > b[0] && box[1] < b[3] && box[3] > b[1]), robots = this.marks.filter((b) => b[4]);
     for (const l of this.labels.sort((a, b) => a.rank - b.rank)) {
       const [x, y] = l.at, width = c.measureText(l.text).width;
       if (x < -width - l.gap || y < -20 || x > w + width + l.gap || y > h + 20) continue;
       const boxes = [[x + l.gap, y], [x - l.gap - width, y], [x - width / 2, y - l.gap - 10], [x - width / 2, y + l.gap + 10]].map(([left, middle]) => [left, middle - 7, left + width, middle + 7]);
-      const fits = (box) => box[0] >= 0 && box[1] >= 0 && box[2] <= w && box[3] <= h && !written.some((b) => box[0] < b[2] && box[2] > b[0] && box[1] < b[3] && box[3] > b[1]);
-      const box = boxes.find((b) => fits(b) && free(b)) || (l.rank <= ROOM && boxes.find(fits)) || (l.rank <= ROBOT ? boxes[0] : null);
+      const fits = (box) => box[0] >= 0 && box[1] >= 0 && box[2] <= w && box[3] <= h && !over(box, written);
+      const box = boxes.find((b) => fits(b) && !over(b, this.marks)) || (l.rank <= ROOM && boxes.find((b) => fits(b) && !over(b, robots))) || (l.rank <= ROBOT ? boxes[0] : null);
       if (!box) continue;
       written.push(box); names.push(l.text);
       c.globalAlpha = 0.82; c.fillStyle = halo; c.beginPath(); c.roundRect(box[0] - 2, box[1], width + 4, 14, 3); c.fill(); c.globalAlpha = 1;
