@@ -14,6 +14,7 @@ import pytest
 
 from conformance.rules import rule
 from gibson_sim.errors import MeshError
+from gibson_sim.formats.light_maps import EXTENSION as LIGHT_MAP, light_map_png
 from gibson_sim.formats.load_mesh import MeshLoader, load_mesh
 from gibson_sim.formats.mesh import Material, Mesh, Sampling
 from support.gltf import Gltf, png
@@ -473,6 +474,61 @@ def test_a_map_with_other_coordinates_is_named(tmp_path: Path) -> None:
     material, (warning,) = material_of(source, tmp_path, images=1)
     assert material.occlusion_texture is None
     assert "occlusionTexture" in warning
+
+
+LIGHT = {"index": 0, "texCoord": 1, "intensity": 4.0}
+LIGHT_UVS = [[0, 0], [65535, 0], [13107, 65535]]
+
+
+def light_mapped(info: dict[str, Any], image: bytes | None = None) -> Gltf:
+    """Returns a triangle with a light map, whose image has a pixel of 16 bits, (65535, 257, 3), unless another is given."""
+    gltf = Gltf().triangle(FLAT, material=0)
+    data = light_map_png([[[4.0, 4.0 * (257 / 65535) ** 2, 4.0 * (3 / 65535) ** 2]]], 4.0) if image is None else image
+    gltf.document |= {
+        "materials": [{"name": "wall", "pbrMetallicRoughness": MATTE, "extensions": {"KHR_materials_unlit": {}, LIGHT_MAP: info}}],
+        "images": [{"bufferView": gltf.view(data), "mimeType": "image/png"}], "textures": [{"source": 0}], "extensionsUsed": [LIGHT_MAP],
+    }  # fmt: skip
+    uvs = gltf.accessor(LIGHT_UVS, "<u2")
+    gltf.document["accessors"][uvs]["normalized"] = True
+    primitive(gltf)["attributes"]["TEXCOORD_1"] = uvs
+    return gltf
+
+
+@rule(FORMAT, "GIBSON_light_map", "done", "16 or 8 bits; multiplies the base colour, [our extension](scenes.md#light-maps)")
+def test_a_light_map_has_coordinates_of_its_own(tmp_path: Path) -> None:
+    mesh = read(light_mapped(LIGHT), tmp_path)
+    (part,) = mesh.parts
+    assert not mesh.warnings
+    assert part.uvs is None and part.light_uvs is not None and part.material.light_map is not None
+    np.testing.assert_allclose(part.light_uvs, [[0, 0], [1, 0], [0.2, 1]], atol=1e-6)
+    assert part.material.unlit and part.material.light_intensity == 4.0
+    assert part.material.light_map.pixels.tolist() == [[[65535, 257, 3]]]
+
+
+@rule(FORMAT, "GIBSON_light_map", "done", "16 or 8 bits; multiplies the base colour, [our extension](scenes.md#light-maps)")
+def test_a_light_map_of_8_bits_is_widened(tmp_path: Path) -> None:
+    (part,) = read(light_mapped(LIGHT, png((255, 1, 0))), tmp_path).parts
+    assert part.material.light_map is not None
+    assert part.material.light_map.pixels.tolist() == [[[65535, 257, 0]]]
+
+
+@rule(FORMAT, "GIBSON_light_map (without its coordinates or image)", "left out", "the surface is drawn in its base colour")
+def test_a_light_map_without_coordinates_or_image_is_named(tmp_path: Path) -> None:
+    gltf = light_mapped(LIGHT)
+    del primitive(gltf)["attributes"]["TEXCOORD_1"]
+    (warning,) = read(gltf, tmp_path).warnings
+    assert "GIBSON_light_map of material 'wall' needs TEXCOORD_1" in warning
+    mesh = read(light_mapped(LIGHT, b"no image"), tmp_path, "other.glb")
+    (warning,) = mesh.warnings
+    assert "image 0 cannot be decoded" in warning and "without its light" in warning
+    assert mesh.parts[0].material.light_map is None and mesh.parts[0].material.unlit
+
+
+@rule(FORMAT, "GIBSON_light_map.intensity", "refused", "negative, or not a number")
+@pytest.mark.parametrize("intensity", [-1.0, "4"])
+def test_a_negative_intensity_of_a_light_map_is_refused(tmp_path: Path, intensity: Any) -> None:
+    with pytest.raises(MeshError, match=r"GIBSON_light_map\.intensity is .*must be a finite number, at least 0"):
+        read(light_mapped({**LIGHT, "intensity": intensity}), tmp_path)
 
 
 # Accessors and buffers

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gibson_sim.errors import MeshError
 from gibson_sim.formats.glb import Z_UP_TO_Y_UP, GlbBuilder, glb_bytes
+from gibson_sim.formats.light_maps import light_map_png, radiance_of
 from gibson_sim.formats.load_mesh import load_mesh
 from support.gltf import png
 
@@ -139,3 +141,30 @@ def test_a_file_of_the_builder_is_read_back(tmp_path: Path) -> None:
     assert part.triangles.tolist() == [[0, 1, 2]]
     assert part.material.name == "wood" and part.material.texture is not None
     assert part.material.texture.pixels[0, 0, :3].tolist() == [200, 100, 50]
+
+
+def test_a_light_map_is_read_as_written(tmp_path: Path) -> None:
+    builder = GlbBuilder()
+    light = np.linspace(0.0, 3.0, 24).reshape(2, 4, 3)
+    surface = {"pbrMetallicRoughness": {"baseColorTexture": {"index": builder.texture_data(png((200, 100, 50)))}}}
+    material = builder.light_mapped_material(surface, builder.texture_data(light_map_png(light, 3.0)), 3.0)
+    attributes = {
+        "POSITION": builder.attribute(TRIANGLE, bounds=True), "TEXCOORD_0": builder.attribute([[0, 5], [5, 5], [0, 0]]),
+        "TEXCOORD_1": builder.attribute([[0, 0], [65535, 0], [0, 65535]], "u2", normalized=True),
+    }  # fmt: skip
+    builder.primitive(attributes, builder.indices([[0, 1, 2]]), material)
+    content = builder.to_bytes("wall")
+    document, _ = parsed(content)
+    assert document["extensionsUsed"] == ["GIBSON_light_map", "KHR_materials_unlit"] and "extensionsRequired" not in document
+    (tmp_path / "wall.glb").write_bytes(content)
+    (part,) = load_mesh(tmp_path / "wall.glb", [tmp_path]).parts
+    assert part.uvs is not None and part.light_uvs is not None and part.material.light_map is not None
+    assert part.uvs.tolist() == [[0, 5], [5, 5], [0, 0]] and part.light_uvs.tolist() == [[0, 0], [1, 0], [0, 1]]
+    assert part.material.unlit and part.material.light_intensity == 3.0
+    radiance = radiance_of(part.material.light_map.pixels, 3.0)
+    np.testing.assert_allclose(radiance, light, atol=3.0 / 65535)
+
+
+def test_a_light_map_needs_an_intensity_above_0() -> None:
+    with pytest.raises(MeshError, match=r"intensity of a light map is 0\.0, must be above 0"):
+        light_map_png(np.ones((1, 1, 3)), 0.0)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from gibson_sim.formats.light_maps import light_map_extensions
+
 GENERATOR = "gibson_sim"
 """``asset.generator`` of every file."""
 Z_UP_TO_Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -79,6 +81,18 @@ class GlbBuilder:
         self._used |= set(material.get("extensions", {}))
         self._materials.append(dict(material))
         return len(self._materials) - 1
+
+    def light_mapped_material(self, material: Mapping[str, Any], light_map: int, intensity: float) -> int:
+        """Adds a glTF material object with a light map, whose primitives need TEXCOORD_1.
+
+        Args:
+            material: the material, with its base colour.
+            light_map: texture with the light map, from ``texture_data`` or ``texture_file``.
+            intensity: as ``Material.light_intensity``.
+        """
+        return self.material(
+            {**material, "extensions": {**material.get("extensions", {}), **light_map_extensions(light_map, intensity)}}
+        )
 
     def primitive(self, attributes: Mapping[str, int], indices: int, material: int) -> int:
         """Adds triangles of one material to the mesh; ``attributes`` are accessors by glTF semantic (``POSITION``)."""

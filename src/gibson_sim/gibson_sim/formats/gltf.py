@@ -18,7 +18,7 @@ import os
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from gibson_sim.errors import MeshError
 from gibson_sim.formats.file_roots import is_inside
 from gibson_sim.formats.gltf_compression import DRACO, MAX_DECODED_BYTES, MESHOPT, DracoMesh, decode_draco, decode_meshopt
 from gibson_sim.formats.gltf_document import check_document
+from gibson_sim.formats.light_maps import EXTENSION as LIGHT_MAP
 from gibson_sim.formats.mesh import F64, I64, TO_Z_UP, AlphaMode, Filter, Material, MeshPart, Sampling, Wrap, build_part
 from gibson_sim.formats.textures import TextureStore, Warn, local_path
 from gibson_sim.geometry.colours import srgb8_from_linear, srgb_from_linear
@@ -80,7 +81,7 @@ _MATERIAL_EXTENSIONS: dict[str, tuple[str, Any, str]] = {
 }
 """Extension of a material -> property and value with which it has no effect, and what changes without it."""
 
-_READ_MATERIAL_EXTENSIONS = {"KHR_materials_unlit", "KHR_materials_emissive_strength", _GLOSS}
+_READ_MATERIAL_EXTENSIONS = {"KHR_materials_unlit", "KHR_materials_emissive_strength", _GLOSS, LIGHT_MAP}
 _KNOWN_EXTENSIONS = {
     *_READ_MATERIAL_EXTENSIONS, *_MATERIAL_EXTENSIONS, *_LEFT_OUT, "KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp",
     "KHR_texture_basisu", "EXT_mesh_gpu_instancing", "KHR_node_visibility", DRACO, *MESHOPT,
@@ -197,6 +198,7 @@ class _GltfReader:
         self._buffers: dict[int, bytes] = {}
         self._materials: dict[int, Material] = {}
         self._images: dict[int, tuple[Any, list[str]]] = {}
+        self._light_maps: dict[int, tuple[Any, list[str]]] = {}
         self._draco: dict[int, DracoMesh] | None = None
         """Index of a buffer view -> mesh; None = not decoded yet."""
         self._decoded: dict[int, NDArray[Any]] = {}
@@ -380,6 +382,7 @@ class _GltfReader:
             self.warn(f"{self.path}: TANGENT is not read; normal textures are turned by the texture coordinates")
         if uvs is not None and uv_matrix is not None:
             uvs = uvs @ uv_matrix[:2, :2].T + uv_matrix[:2, 2]
+        material, light_uvs = self._light_of(material, primitive, count, targets)
         colors = None
         if "COLOR_0" in attributes:
             colors = self._colors(attributes["COLOR_0"], count, targets)
@@ -394,8 +397,47 @@ class _GltfReader:
             # By the specification flat, so no two triangles share a vertex. Without light nothing shows it, and scans stay small.
             corners = triangles.ravel()
             vertices, triangles = vertices[corners], np.arange(len(corners)).reshape(-1, 3)
-            uvs, colors = (None if array is None else array[corners] for array in (uvs, colors))
-        return build_part(str(self.path), vertices, triangles, normals, uvs, material, placed, colors)
+            uvs, colors, light_uvs = (None if array is None else array[corners] for array in (uvs, colors, light_uvs))
+        return build_part(str(self.path), vertices, triangles, normals, uvs, material, placed, colors, light_uvs)
+
+    def _light_of(
+        self, material: Material, primitive: dict[str, Any], count: int, targets: _Targets
+    ) -> tuple[Material, NDArray[Any] | None]:
+        """Returns the material of a primitive with its light map, and the texture coordinates in it; None = it has none."""
+        source = self._item("materials", primitive["material"]) if "material" in primitive else {}
+        info = source.get("extensions", {}).get(LIGHT_MAP)
+        if info is None:
+            return material, None
+        uv_set, transform = _uv_mapping(info)
+        uvs = self._attribute(f"TEXCOORD_{uv_set}", primitive["attributes"], count, 2, targets)
+        if uvs is None:
+            self.warn(
+                f"{self.path}: {LIGHT_MAP} of material {quoted(material.name)} needs TEXCOORD_{uv_set}; "
+                "a mesh without it is drawn in its base colour"
+            )
+            return material, None
+        light = replace(
+            material, unlit=True, light_map=self._light_map(info["index"]), light_intensity=float(info.get("intensity", 1.0))
+        )
+        matrix = _uv_matrix(transform)
+        return light, uvs if matrix is None else uvs @ matrix[:2, :2].T + matrix[:2, 2]
+
+    def _light_map(self, index: int) -> Any:
+        """Returns the light map in a texture, whose sampler is not read; each image is read once."""
+        source = self._item("textures", index).get("source")
+        if source is None:
+            self.warn(f"{self.path}: texture {index} of a light map has no source; the surface is drawn without its light")
+            return None
+        if source not in self._light_maps:
+            problems: list[str] = []
+            store = self.textures
+            self._light_maps[source] = (
+                self._image(source, problems.append, store.light_map_from_bytes, store.light_map_from_uri), problems,
+            )  # fmt: skip
+        image, problems = self._light_maps[source]
+        for problem in problems:
+            self.warn(problem)
+        return image
 
     def _maps_of(self, primitive: dict[str, Any]) -> set[str]:
         """Returns the names of the textures that the material of a primitive is drawn with."""
@@ -731,22 +773,22 @@ class _GltfReader:
         """Returns an image, and the warnings about it; each is read once."""
         if index not in self._images:
             problems: list[str] = []
-            self._images[index] = self._image(index, problems.append), problems
+            store = self.textures
+            self._images[index] = self._image(index, problems.append, store.from_bytes, store.from_uri), problems
         return self._images[index]
 
-    def _image(self, index: int, warn: Warn) -> Any:
+    def _image(self, index: int, warn: Warn, from_bytes: Callable[..., Any], from_uri: Callable[..., Any]) -> Any:
+        """Returns an image by one of two methods of ``TextureStore``, or None with a warning."""
         image = self._item("images", index)
         name = f"{self.path}: image {index}"
         if "bufferView" in image:
             view = self._item("bufferViews", image["bufferView"])
             data = self._view(image["bufferView"], 0, np.dtype("u1"), int(view["byteLength"]), 1).tobytes()
-            return self.textures.from_bytes(name, data, warn)
+            return from_bytes(name, data, warn)
         uri = image.get("uri")
         if uri is None:
             raise MeshError(f"{self.path}: image {index} has neither uri nor bufferView; the file is broken, export it again")
-        if uri.startswith("data:"):
-            return self.textures.from_bytes(name, _data_uri(uri), warn)
-        return self.textures.from_uri(uri, self.path, self.files, warn)
+        return from_bytes(name, _data_uri(uri), warn) if uri.startswith("data:") else from_uri(uri, self.path, self.files, warn)
 
 
 def _gloss(source: dict[str, Any]) -> dict[str, Any]:

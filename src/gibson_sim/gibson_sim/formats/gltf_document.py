@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gibson_sim.errors import MeshError
+from gibson_sim.formats.light_maps import EXTENSION as LIGHT_MAP
 from gibson_sim.quoting import quoted
 
 
@@ -50,6 +51,7 @@ def _numbers(*lengths: int) -> _Value:
 
 _COUNT = _Value("a whole number, at least 0", lambda value: _is_whole(value) and 0 <= value < 2**53)
 _NUMBER = _Value("a finite number", _is_number)
+_AMOUNT = _Value("a finite number, at least 0", lambda value: _is_number(value) and value >= 0)
 _TEXT = _Value("text", lambda value: isinstance(value, str))
 _FLAG = _Value("true or false", lambda value: isinstance(value, bool))
 _COUNTS_BY_NAME = _Value(
@@ -92,6 +94,7 @@ _MATERIAL = {
             "diffuseFactor": _numbers(4), "diffuseTexture": _TEXTURE, "specularFactor": _numbers(3), "glossinessFactor": _NUMBER,
             "specularGlossinessTexture": _TEXTURE,
         },
+        LIGHT_MAP: {**_TEXTURE, "intensity": _AMOUNT},
     },
 }  # fmt: skip
 _DOCUMENT = {

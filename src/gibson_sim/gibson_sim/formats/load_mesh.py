@@ -22,7 +22,7 @@ from gibson_sim.errors import MeshError, TextError
 from gibson_sim.formats.dae import load_dae
 from gibson_sim.formats.file_roots import package_roots, without_file_system_root
 from gibson_sim.formats.gltf import load_gltf
-from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, Material, Mesh, MeshPart, TextureSource, UpAxis
+from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, LightMapSource, Material, Mesh, MeshPart, TextureSource, UpAxis
 from gibson_sim.formats.obj import load_obj
 from gibson_sim.formats.ply import load_ply
 from gibson_sim.formats.stl import load_stl
@@ -87,7 +87,7 @@ class MeshLoader:
             self._meshes[real] = self._read(Path(path), real)
         return self._meshes[real]
 
-    def image_bytes(self, texture: TextureSource) -> bytes:
+    def image_bytes(self, texture: TextureSource | LightMapSource) -> bytes:
         """Returns the encoded image of a texture that this loader has read with ``textures`` "sizes"."""
         return self._textures.encoded(texture)
 

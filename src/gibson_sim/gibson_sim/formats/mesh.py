@@ -57,6 +57,16 @@ class TextureSource:
     sampling: Sampling = Sampling()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LightMapSource:
+    """A decoded light map: the light on surfaces, ``light_maps``. Parts with the same image share one object."""
+
+    name: str
+    """Path of the image file, or file and index for an embedded image."""
+    pixels: NDArray[np.uint16]
+    """Pixels, (H, W, 3) RGB uint16, square roots of radiances, row 0 = top. Interpolated linearly, clamped at the borders."""
+
+
 @dataclass(frozen=True, slots=True)
 class Material:
     """The material of one part of a mesh."""
@@ -91,6 +101,10 @@ class Material:
     """Strength of the occlusion, 0 to 1."""
     colored: bool = False
     """Whether vertex colours (``MeshPart.colors``) multiply ``base_color`` and ``texture``."""
+    light_map: LightMapSource | None = None
+    """Light that multiplies the base colour in ``MeshPart.light_uvs``, before tone mapping; the material is unlit: no other light is added."""
+    light_intensity: float = 1.0
+    """Radiance of a white surface where ``light_map`` is white, linear, at least 0."""
 
     @property
     def has_maps(self) -> bool:
@@ -113,8 +127,10 @@ class MeshPart:
     """Vertex indices of the triangles, (F, 3)."""
     material: Material = field(default_factory=Material)
     colors: NDArray[np.uint8] | None = None
-    """Vertex colours, (V, 3) uint8 sRGB, or (V, 4) with alpha, which is linear, if the material is ``colored``; else None. They have alpha only
-    if any of it is below 255."""
+    """Vertex colours, (V, 3) uint8 sRGB, or (V, 4) with alpha, which is linear, if the material is ``colored``; else None. They have alpha
+    only if any of it is below 255."""
+    light_uvs: F32 | None = None
+    """Coordinates in the light map of the material, (V, 2), v = 0 at the top row, or None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,6 +174,7 @@ class Mesh:
                 part.triangles if np.linalg.det(m[:3, :3]) > 0 else np.ascontiguousarray(part.triangles[:, ::-1]),
                 part.material,
                 part.colors,
+                part.light_uvs,
             )
             for part in self.parts
         )
@@ -218,6 +235,7 @@ def build_part(
     material: Material,
     matrix: F64 | None = None,
     colors: NDArray[np.uint8] | None = None,
+    light_uvs: ArrayLike | None = None,
 ) -> MeshPart | None:
     """Returns a checked part, or None if it has no triangles.
 
@@ -231,13 +249,16 @@ def build_part(
         matrix: (4, 4) affine transform of the vertices and normals; None = the identity.
         colors: vertex colours, (V, 3) uint8 sRGB, or (V, 4) with linear alpha, or None. They stand in for a missing texture; if the material
             is already ``colored``, they multiply its texture.
+        light_uvs: (V, 2), in the light map of the material, v downwards, or None.
 
     Raises:
         MeshError: an index is out of range, or a coordinate is NaN or infinite.
     """
     # Suppress the warning about the cast of a signalling NaN.
     with np.errstate(invalid="ignore"):
-        v, n, uv = (None if array is None else np.asarray(array, dtype=np.float64) for array in (vertices, normals, uvs))
+        v, n, uv, light_uv = (
+            None if array is None else np.asarray(array, dtype=np.float64) for array in (vertices, normals, uvs, light_uvs)
+        )
     t = np.asarray(triangles, dtype=np.int64)
     if v is None or not len(t):
         return None
@@ -251,7 +272,7 @@ def build_part(
         t = (np.cumsum(used) - 1)[t]
         v = v[used]
         n = None if n is None else n[used]
-        uv = None if uv is None else uv[used]
+        uv, light_uv = (None if array is None else array[used] for array in (uv, light_uv))
         colors = None if colors is None else colors[used]
     if matrix is not None:
         # Non-finite vertices are rejected below, with their row.
@@ -266,12 +287,15 @@ def build_part(
         raise MeshError(f"{what}: vertex {row} is {v[row].tolist()}, coordinates must be finite numbers; the file is broken")
     n = _fill_normals(v, t, n)
     with np.errstate(over="ignore"):
-        uv32 = None if uv is None else np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+        uv32, light32 = (
+            None if array is None else np.nan_to_num(array, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+            for array in (uv, light_uv)
+        )
     colors = colors if material.texture is None or material.colored else None
     if colors is not None and (colors[:, 3:] == 255).all():
         colors = np.ascontiguousarray(colors[:, :3])
     material = material if material.colored == (colors is not None) else replace(material, colored=colors is not None)
-    return MeshPart(v32, n.astype(np.float32), uv32, np.ascontiguousarray(t, dtype=np.uint32), material, colors)
+    return MeshPart(v32, n.astype(np.float32), uv32, np.ascontiguousarray(t, dtype=np.uint32), material, colors, light32)
 
 
 def _fill_normals(vertices: F64, triangles: I64, normals: F64 | None) -> F64:

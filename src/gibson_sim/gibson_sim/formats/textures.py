@@ -8,7 +8,7 @@ import os
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 from urllib.parse import unquote
 
 import cv2
@@ -19,10 +19,11 @@ from gibson_sim.description.omissions import Omission, OmissionKind
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.file_roots import find_ignoring_case, is_inside
 from gibson_sim.formats.image_header import MAX_IMAGE_BYTES, MAX_PIXELS, ImageHeader, image_size
-from gibson_sim.formats.mesh import Sampling, TextureSource
+from gibson_sim.formats.mesh import LightMapSource, Sampling, TextureSource
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder, read_file
 
+_Depth = TypeVar("_Depth", np.uint8, np.uint16)
 Warn = Callable[[str], None]
 Decode = bool | Literal["sizes"]
 """Whether images are decoded; "sizes" = replaced by black images of the same size."""
@@ -54,7 +55,8 @@ class TextureStore:
         self._by_file: dict[Path, TextureSource | None] = {}
         self._inside: dict[tuple[Path, tuple[Path, ...]], bool] = {}
         """(Image, roots) -> whether it lies in them; cached, since many meshes reference one image."""
-        self._encoded: dict[int, tuple[TextureSource, bytes]] = {}
+        self._light_maps: dict[Path, LightMapSource | None] = {}
+        self._encoded: dict[int, tuple[TextureSource | LightMapSource, bytes]] = {}
         self._sampled: dict[tuple[int, Sampling], tuple[TextureSource, TextureSource]] = {}
         """(``id()`` of a texture, sampling) -> the texture, and the same image with that sampling."""
 
@@ -77,6 +79,51 @@ class TextureStore:
         Raises:
             MeshError: the image has more than ``MAX_PIXELS``.
         """
+        path = self._find(uri, mesh, files, warn, search)
+        if path is None or not self.decode:
+            return None
+        if path not in self._by_file:
+            pixels = self._file_pixels(path, self._pixels)
+            self._by_file[path] = None if pixels is None else TextureSource(str(path), pixels)
+        if self._by_file[path] is None:
+            _warn_of_file(mesh, path, "texture", warn)
+        return self._by_file[path]
+
+    def light_map_from_uri(self, uri: str, mesh: Path, files: list[Path], warn: Warn) -> LightMapSource | None:
+        """Returns the light map that ``mesh`` references, as ``from_uri``.
+
+        Raises:
+            MeshError: the image has more than ``MAX_PIXELS``.
+        """
+        path = self._find(uri, mesh, files, warn, True)
+        if path is None or not self.decode:
+            return None
+        if path not in self._light_maps:
+            pixels = self._file_pixels(path, self._light_map_pixels)
+            self._light_maps[path] = None if pixels is None else LightMapSource(str(path), pixels)
+        if self._light_maps[path] is None:
+            _warn_of_file(mesh, path, "light map", warn)
+        return self._light_maps[path]
+
+    def light_map_from_bytes(self, name: str, data: bytes, warn: Warn) -> LightMapSource | None:
+        """Returns the light map in ``data``, as ``from_bytes``.
+
+        Raises:
+            MeshError: the image has more than ``MAX_PIXELS``.
+        """
+        if not self.decode:
+            return None
+        pixels = self._light_map_pixels(name, data)
+        if pixels is None:
+            warn(f"{name} cannot be decoded ({len(data)} bytes); the surface is drawn without its light")
+            return None
+        source = LightMapSource(name, pixels)
+        if self.decode == "sizes":
+            self._encoded[id(source)] = (source, data)
+        return source
+
+    def _find(self, uri: str, mesh: Path, files: list[Path], warn: Warn, search: bool) -> Path | None:
+        """Returns the resolved path of an image, which is appended to ``files``, or None with a warning."""
         named = local_path(uri, mesh.parent)
         path = named if is_file(named) else (self._nearby(named, mesh) if search else None)
         key = (path or named, self.roots)
@@ -98,18 +145,14 @@ class TextureStore:
         path = Path(os.path.realpath(path))
         if path not in files:
             files.append(path)
-        if not self.decode:
+        return path
+
+    def _file_pixels(self, path: Path, pixels: Callable[[str, bytes], NDArray[_Depth] | None]) -> NDArray[_Depth] | None:
+        """Returns the pixels of an image file by ``pixels``; None if it cannot be read or decoded."""
+        try:
+            return pixels(str(path), read_file(path, MAX_IMAGE_BYTES))
+        except OSError:
             return None
-        if path not in self._by_file:
-            try:
-                pixels = self._pixels(str(path), read_file(path, MAX_IMAGE_BYTES))
-            except OSError:
-                pixels = None
-            self._by_file[path] = None if pixels is None else TextureSource(str(path), pixels)
-        if self._by_file[path] is None:
-            text = f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface is drawn without it"
-            warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
-        return self._by_file[path]
 
     def from_bytes(self, name: str, data: bytes, warn: Warn) -> TextureSource | None:
         """Returns the image in ``data``, the bytes of an image file, or None with a warning.
@@ -145,7 +188,7 @@ class TextureStore:
                 self._encoded[id(other)] = (other, self._encoded[id(texture)][1])
         return self._sampled[key][1]
 
-    def encoded(self, texture: TextureSource) -> bytes:
+    def encoded(self, texture: TextureSource | LightMapSource) -> bytes:
         """Returns the encoded image of a texture of this store, whose ``decode`` is "sizes".
 
         Raises:
@@ -159,14 +202,15 @@ class TextureStore:
         if self.decode == "sizes":
             black = np.zeros((1, 1, 1), dtype=np.uint8)
             return None if size is None else np.broadcast_to(black, (size.height, size.width, size.channels))
-        if size is None:
-            return None
-        if size.pixels > MAX_PIXELS:
-            raise MeshError(
-                f"{name}: has {size.width} x {size.height} pixels, {size.decoded_bytes / 2**20:.0f} MB in memory; "
-                f"at most {MAX_PIXELS // 2**20} million pixels are read. Scale it down: gibson-sim scene check SCENE --fix --output FOLDER"
-            )
-        return decode_image(data)
+        return None if size is None else decode_image(_within_limit(name, size, data))
+
+    def _light_map_pixels(self, name: str, data: bytes) -> NDArray[np.uint16] | None:
+        """Returns the pixels (H, W, 3) uint16 of a light map, black if ``decode`` is "sizes"; None if it cannot be decoded."""
+        size = image_size(data)
+        if self.decode == "sizes":
+            black = np.zeros((1, 1, 1), dtype=np.uint16)
+            return None if size is None else np.broadcast_to(black, (size.height, size.width, 3))
+        return None if size is None else decode_light_map(_within_limit(name, size, data))
 
     def _nearby(self, named: Path, mesh: Path) -> Path | None:
         """Returns the image of that name in the usual folders near the mesh, else the only image beside an OBJ mesh, else None."""
@@ -183,6 +227,26 @@ class TextureStore:
         images = [p for p in sorted(mesh_folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and is_file(p)]
         # Scans are often one mesh and one image, which users rename.
         return images[0] if len(images) == 1 and mesh.suffix.lower() == ".obj" else None
+
+
+def _warn_of_file(mesh: Path, path: Path, what: str, warn: Warn) -> None:
+    """Warns of an image file that cannot be decoded."""
+    text = f"{mesh}: {what} {path.name} cannot be decoded ({path}); the surface is drawn without it"
+    warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
+
+
+def _within_limit(name: str, size: ImageHeader, data: bytes) -> bytes:
+    """Returns the bytes of an image file of this size.
+
+    Raises:
+        MeshError: it has more than ``MAX_PIXELS``.
+    """
+    if size.pixels > MAX_PIXELS:
+        raise MeshError(
+            f"{name}: has {size.width} x {size.height} pixels, {size.decoded_bytes / 2**20:.0f} MB in memory; "
+            f"at most {MAX_PIXELS // 2**20} million pixels are read. Scale it down: gibson-sim scene check SCENE --fix --output FOLDER"
+        )
+    return data
 
 
 def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
@@ -230,6 +294,15 @@ def decode_image(data: bytes) -> NDArray[np.uint8] | None:
         return np.concatenate([np.repeat(image[:, :, :1], 3, axis=2), image[:, :, 1:]], axis=2)
     code = cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
     return np.asarray(cv2.cvtColor(image, code), dtype=np.uint8)
+
+
+def decode_light_map(data: bytes) -> NDArray[np.uint16] | None:
+    """Returns the pixels of an encoded light map, (H, W, 3) uint16, of 16 or 8 bits in the file; None if it cannot be decoded."""
+    image = decode_pixels(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        return None
+    rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB)).astype(np.uint16)
+    return rgb if image.dtype == np.uint16 else rgb * np.uint16(257)
 
 
 def _decode_by_pillow(data: bytes, size: ImageHeader) -> NDArray[np.uint8] | None:

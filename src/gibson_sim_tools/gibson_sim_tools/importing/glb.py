@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.glb import GlbBuilder
-from gibson_sim.formats.mesh import TO_Z_UP, Material, Mesh, TextureSource
+from gibson_sim.formats.light_maps import encoded_light_map, light_map_extensions
+from gibson_sim.formats.mesh import TO_Z_UP, LightMapSource, Material, Mesh, TextureSource
 from gibson_sim.geometry.colours import linear16_from_srgb8, linear_from_srgb
 from gibson_sim.writing import write_file
 
@@ -37,6 +38,9 @@ def write_glb(path: Path, mesh: Mesh, images: dict[int, bytes] | None = None) ->
         }
         if part.uvs is not None:
             attributes["TEXCOORD_0"] = builder.attribute(part.uvs)
+        if part.light_uvs is not None:
+            light_uvs = np.rint(np.clip(part.light_uvs, 0.0, 1.0) * 65535.0)
+            attributes["TEXCOORD_1"] = builder.attribute(light_uvs, "u2", normalized=True)
         if part.colors is not None and part.material.colored:
             attributes["COLOR_0"] = builder.attribute(_linear16_rgba(part.colors), "u2", normalized=True)
         builder.primitive(attributes, builder.indices(part.triangles), materials.index(part.material))
@@ -90,6 +94,8 @@ class _Materials:
         ):
             if texture is not None:
                 holder[key] = {"index": self._texture(texture), **extra}
+        if m.light_map is not None:
+            gltf_material["extensions"] = light_map_extensions(self._light_map(m.light_map), m.light_intensity)
         return gltf_material
 
     def _texture(self, texture: TextureSource) -> int:
@@ -98,6 +104,13 @@ class _Materials:
                 self._encoded_images.get(id(texture)) or encoded(texture.pixels)
             )
         return self._textures[id(texture)]
+
+    def _light_map(self, light_map: LightMapSource) -> int:
+        if id(light_map) not in self._textures:
+            self._textures[id(light_map)] = self._builder.texture_data(
+                self._encoded_images.get(id(light_map)) or encoded_light_map(light_map.pixels)
+            )
+        return self._textures[id(light_map)]
 
 
 def _linear16_rgba(colors: NDArray[np.uint8]) -> NDArray[np.uint16]:

@@ -70,6 +70,7 @@ def select_triangles(part: MeshPart, is_selected: NDArray[np.bool_]) -> MeshPart
         normals=part.normals[used],
         uvs=None if part.uvs is None else part.uvs[used],
         colors=None if part.colors is None else part.colors[used],
+        light_uvs=None if part.light_uvs is None else part.light_uvs[used],
         triangles=inverse.reshape(-1, 3).astype(np.uint32),
     )
 

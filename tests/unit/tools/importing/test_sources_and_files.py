@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,7 @@ import yaml
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.formats.load_mesh import load_mesh
-from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
+from gibson_sim.formats.mesh import LightMapSource, Material, Mesh, MeshPart, TextureSource
 from gibson_sim_tools.importing.document import FloorPicture, file_name, rpy_deg, write_nav2_map
 from gibson_sim_tools.importing.glb import encoded, write_glb
 from gibson_sim_tools.importing.sources import SourceKind, identify
@@ -134,6 +135,17 @@ def test_a_mesh_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     assert read.emissive == pytest.approx(wood.emissive) and read.texture is not None
     assert read.texture.pixels[0, 0, :3] == pytest.approx([200, 100, 50], abs=3)
     assert second.material.unlit and not read.unlit
+
+
+def test_a_light_map_is_read_back_as_it_was_written(tmp_path: Path) -> None:
+    pixels = np.arange(24, dtype=np.uint16).reshape(2, 4, 3) * np.uint16(2000)
+    lit = Material("lit", unlit=True, light_map=LightMapSource("light", pixels), light_intensity=2.5)
+    (part,) = _mesh(lit).parts
+    light_uvs = np.array([[0, 0], [1, 0], [0.2, 1]], dtype=np.float32)
+    write_glb(tmp_path / "a.glb", Mesh((replace(part, light_uvs=light_uvs),)))
+    (found,) = load_mesh(tmp_path / "a.glb", [tmp_path]).parts
+    assert found.light_uvs == pytest.approx(light_uvs, abs=1e-6) and found.material.light_intensity == 2.5
+    assert found.material.light_map is not None and np.array_equal(found.material.light_map.pixels, pixels)
 
 
 def test_parts_of_one_material_and_one_image_share_them(tmp_path: Path) -> None:

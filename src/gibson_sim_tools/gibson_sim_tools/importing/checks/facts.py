@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.description.shapes import VisualSpec
 from gibson_sim.formats.load_mesh import MeshLoader
-from gibson_sim.formats.mesh import Mesh, TextureSource, merge
+from gibson_sim.formats.mesh import LightMapSource, Mesh, TextureSource, merge
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
 from gibson_sim.reading import is_file
 from gibson_sim.scenes.scene_meshes import scene_roots
@@ -187,13 +187,15 @@ def original_up(scene: SceneSpec) -> Vec3 | None:
     return (x, y, z) if z < np.cos(np.radians(ON_ITS_SIDE_DEG)) else None
 
 
-def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource]:
-    """Returns the textures of meshes, each once."""
-    textures: dict[int, TextureSource] = {}
+def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource | LightMapSource]:
+    """Returns the textures of meshes, light maps too, each once."""
+    textures: dict[int, TextureSource | LightMapSource] = {}
     for mesh in meshes:
         for part in mesh.parts:
             m = part.material
-            for texture in (m.texture, m.metallic_roughness_texture, m.normal_texture, m.occlusion_texture, m.emissive_texture):
+            for texture in (
+                m.texture, m.metallic_roughness_texture, m.normal_texture, m.occlusion_texture, m.emissive_texture, m.light_map,
+            ):  # fmt: skip
                 if texture is not None:
                     textures.setdefault(id(texture), texture)
     return list(textures.values())
@@ -202,6 +204,6 @@ def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource]:
 def texture_facts(meshes: Sequence[Mesh]) -> tuple[TextureFacts, ...]:
     """Returns the facts about the textures of meshes, the largest first."""
     facts = [
-        TextureFacts(t.name, t.pixels.shape[1], t.pixels.shape[0], round(t.pixels.size / 2**20, 2)) for t in textures_of(meshes)
+        TextureFacts(t.name, t.pixels.shape[1], t.pixels.shape[0], round(t.pixels.nbytes / 2**20, 2)) for t in textures_of(meshes)
     ]
     return tuple(sorted(facts, key=lambda t: (-t.memory_mb, t.name)))

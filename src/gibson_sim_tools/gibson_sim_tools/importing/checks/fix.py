@@ -15,8 +15,8 @@ from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.description.shapes import Appearance, Shape
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.load_mesh import MeshLoader
-from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
-from gibson_sim.formats.textures import decode_image
+from gibson_sim.formats.mesh import LightMapSource, Material, Mesh, MeshPart, TextureSource
+from gibson_sim.formats.textures import decode_image, decode_light_map
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.geometry.triangle_meshes import areas_of, unit_normals
 from gibson_sim.maps.export import FLOORS
@@ -373,7 +373,7 @@ def _repaired(loader: MeshLoader, shape: Shape, matrix: F64, textures: _Textures
         valid = select_triangles(flipped, ~flat) if flat.any() else flipped
         if not len(valid.triangles):
             continue
-        plain = replace(valid, uvs=None, colors=None, material=Material()) if textures is None else valid
+        plain = replace(valid, uvs=None, colors=None, light_uvs=None, material=Material()) if textures is None else valid
         parts.append(plain if textures is None else replace(plain, material=textures.material(plain.material, loader)))
     return Mesh(tuple(parts)).transformed(matrix)
 
@@ -392,6 +392,9 @@ def _flip_triangles(part: MeshPart, inverted: NDArray[np.bool_]) -> MeshPart:
         np.concatenate([unflipped.triangles, flipped.triangles + np.uint32(len(unflipped.vertices))]),
         part.material,
         None if unflipped.colors is None or flipped.colors is None else np.concatenate([unflipped.colors, flipped.colors]),
+        None
+        if unflipped.light_uvs is None or flipped.light_uvs is None
+        else np.concatenate([unflipped.light_uvs, flipped.light_uvs]),
     )
 
 
@@ -402,11 +405,23 @@ class _Textures:
         self._max_side = max_side
         self._by_id: dict[int, TextureSource | None] = {}
         self._originals: list[TextureSource] = []
+        self._light_maps: dict[int, tuple[LightMapSource, LightMapSource | None]] = {}
 
     def material(self, material: Material, loader: MeshLoader) -> Material:
         names = ("texture", "metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
-        changes = {name: self._image(getattr(material, name), loader) for name in names if getattr(material, name) is not None}
+        changes: dict[str, object] = {
+            name: self._image(getattr(material, name), loader) for name in names if getattr(material, name) is not None
+        }
+        if material.light_map is not None:
+            changes["light_map"] = self._light_map(material.light_map, loader)
         return replace(material, **changes) if changes else material  # type: ignore[arg-type]
+
+    def _light_map(self, light_map: LightMapSource, loader: MeshLoader) -> LightMapSource | None:
+        """Returns a light map with its pixels and in its size: its charts have borders for no other."""
+        if id(light_map) not in self._light_maps:
+            pixels = decode_light_map(loader.image_bytes(light_map))
+            self._light_maps[id(light_map)] = (light_map, None if pixels is None else LightMapSource(light_map.name, pixels))
+        return self._light_maps[id(light_map)][1]
 
     def _image(self, texture: TextureSource, loader: MeshLoader) -> TextureSource | None:
         if id(texture) not in self._by_id:
