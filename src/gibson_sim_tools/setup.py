@@ -42,6 +42,7 @@ setup(
     zip_safe=False,
     # Sub-commands of `gibson-sim`, loaded when they are typed (gibson_sim/cli/registry.py).
     entry_points={
+        "gibson_sim.tracers": ["cycles = gibson_sim_tools.tracing.bags:CyclesColors"],
         "gibson_sim.scene_commands": [
             "check = gibson_sim_tools.cli.inspect",
             "collision = gibson_sim_tools.cli.collision",
@@ -55,6 +56,6 @@ setup(
             "scan = gibson_sim_tools.cli.scan",
             "texture = gibson_sim_tools.cli.texture",
             "view = gibson_sim_tools.cli.view",
-        ]
+        ],
     },
 )

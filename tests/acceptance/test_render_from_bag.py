@@ -37,7 +37,7 @@ from gibson_sim.ros.wire.exact_bytes import exact_bytes  # noqa: E402
 from gibson_sim.ros.wire.fast_publish import image_to_bytes  # noqa: E402
 from gibson_sim.ros.wire.message_types import type_name_of  # noqa: E402
 from gibson_sim.scenes.spec import DrawnScene, LightSpec  # noqa: E402
-from gibson_sim.types import OUTPUTS, CameraSpec, SceneState  # noqa: E402
+from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.egl]
 RENDER = RenderConfig(cache="none")
@@ -198,6 +198,43 @@ def test_a_missing_file_is_named_with_the_setting_that_helps(tmp_path: Path) -> 
         bag.write("/scene_state", serialize_message(conversions.scene_state_to_msg(STATES[0], (0,))), 1, 1)
     with pytest.raises(SceneNotFoundError, match=r"/there/table\.glb .*'asset_roots'"):
         render_bag(RenderBagConfig(bag=str(tmp_path / "bag"), output=str(tmp_path / "out")), RENDER)
+
+
+class _BlueTracer:
+    """Traces everything blue, brighter with each scene."""
+
+    scenes: list[int]
+    states: list[int]
+
+    def __init__(self, python: str, samples: int) -> None:
+        self.scenes, self.states, self.closed = [], [], False
+
+    def load(self, scene: DrawnScene, state: SceneState, draw: Callable[..., Any]) -> None:
+        assert len(draw(state, scene.cameras)) == len(scene.cameras)
+        self.scenes.append(scene.revision)
+
+    def colors(self, state: SceneState, frame: Frame) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        self.states.append(state.step)
+        assert frame.stamp_ns == state.stamp_ns
+        return np.full((frame.camera.height, frame.camera.width, 3), (0, 0, self.scenes[-1]), dtype=np.uint8)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_tracer_gives_the_colours_and_the_renderer_all_else(
+    drive: Path, drawn: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracer = _BlueTracer("", 2)
+    monkeypatch.setattr("gibson_sim.ros.recording.render_bag.open_tracer", lambda name, python, samples: tracer)
+    folder = tmp_path / "traced"
+    render_bag(RenderBagConfig(bag=str(drive), output=str(folder), tracer="blue"), RENDER)
+    assert (tracer.scenes, tracer.states, tracer.closed) == ([1, 2], [2, 4, 6, 8, 10, 12], True)
+    images, others = (_messages(bag, "/own/image_raw") for bag in (folder, drawn[0]))
+    assert [image_to_array(image)[0, 0].tolist() for image in images] == [[0, 0, 1]] * 3 + [[0, 0, 2]] * 3
+    assert [header_stamp_ns(image.header.stamp) for image in images] == [header_stamp_ns(image.header.stamp) for image in others]
+    depths = [[image_to_array(image) for image in _messages(bag, "/own/depth/image_raw")] for bag in (folder, drawn[0])]
+    assert all(np.array_equal(a, b) for a, b in zip(*depths, strict=True))
 
 
 def test_serialised_messages_have_no_trailing_bytes(tmp_path: Path) -> None:

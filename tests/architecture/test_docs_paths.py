@@ -21,7 +21,7 @@ PACKAGES = {
 }
 """Our Python packages: the folder that holds each."""
 
-ENTRY_POINTS = {"gibson_sim.commands", "gibson_sim.scene_commands"}
+ENTRY_POINTS = {"gibson_sim.commands", "gibson_sim.scene_commands", "gibson_sim.tracers"}
 """Groups of entry points, which look like modules."""
 
 FOREIGN_NAMES = {"my_node.py", "online_async_launch.py"}

@@ -154,9 +154,14 @@ class RenderBagConfig:
     )
     compression: str = setting("none", "Compression of the bag's chunks", choices=("none", "zstd", "lz4"))
     reserve_mb: int = setting(256, "Free space of the disk below which rendering stops with an intact bag", unit="MB", minimum=1)
+    tracer: str = setting("", "Program that traces the colours: cycles (Blender); empty = our renderer draws them")
+    samples: int = setting(64, "Paths per pixel of traced colours; only with `tracer`", minimum=2, maximum=65_536)
+    blender_python: str = setting("", "Python interpreter that has bpy; empty = this one; only with `tracer`")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.tracer and (self.lights or self.randomise):
+            raise ConfigError("settings 'lights' and 'randomise' do not change traced colours; leave them out, or 'tracer'")
         self.wanted_outputs()
         self.wanted_view_size()
         if self.end and self.end <= self.begin:

@@ -15,6 +15,7 @@ from gibson_sim_bench.cli import (
     learning as bench_learning,
     lockstep as bench_lockstep,
     peers as bench_peers,
+    realism as bench_realism,
     report as bench_report,
     ros as bench_ros,
     scaling as bench_scaling,
@@ -38,7 +39,7 @@ def add_parser(subparsers: Any) -> None:
     for module in (bench_table1, bench_table2, bench_peers, bench_scaling, bench_soak, bench_report, bench_compare):
         module.add_parser(kinds)
     _add_render(kinds)
-    for module in (bench_tensors, bench_ros, bench_lockstep, bench_tasks, bench_learning, bench_web):
+    for module in (bench_realism, bench_tensors, bench_ros, bench_lockstep, bench_tasks, bench_learning, bench_web):
         module.add_parser(kinds)
 
 

@@ -50,9 +50,15 @@ def add_parser(subparsers: Any) -> None:
         RenderBagConfig,
         (
             "cameras", "views", "view_size", "view_rate", "outputs", "rate", "interpolate", "lights", "randomise", "randomise_seed",
-            "copy", "compression", "reserve_mb",
+            "copy", "compression", "reserve_mb", "samples", "blender_python",
         ),
     )  # fmt: skip
+    parser.add_argument(
+        "--with",
+        dest="tracer",
+        metavar="NAME",
+        help="trace the colours by a program: cycles (Blender's path tracer, gibson_sim_tools)",
+    )
     parser.add_argument("--from", dest="begin", type=float, metavar="S", help="begin S seconds after the start of the bag")
     parser.add_argument("--to", dest="end", type=float, metavar="S", help="end S seconds after the start of the bag")
     add_settings(parser, RenderConfig, _RENDER)

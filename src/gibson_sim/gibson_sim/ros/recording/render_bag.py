@@ -25,6 +25,7 @@ from gibson_sim.bags.metadata import TopicQos
 from gibson_sim.bags.progress import Advance, no_progress, progress_bar
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, CameraSchedule, scene_topics, state_period_ns, topics_to_copy
+from gibson_sim.bags.tracers import Tracer, open_tracer
 from gibson_sim.bags.writer import BagWriter, Compression
 from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
@@ -110,6 +111,9 @@ class _Rendering:
         self._bag, self._job, self._render, self._advance = bag, job, render, advance
         self._renderer: Renderer | None = None
         self._frame_history: FrameHistory | None = None
+        self._tracer: Tracer | None = None
+        self._traced: DrawnScene | None = None
+        """The scene that the tracer has loaded."""
         self._loaded: DrawnScene | None = None
         """The loaded scene as recorded."""
         self._drawn: DrawnScene | None = None
@@ -147,6 +151,8 @@ class _Rendering:
         self._after_pending: list[Item] = []
         """Items to write after the pending frames."""
         self._images = self._outputs = self._skipped = 0
+        if job.tracer:
+            self._tracer = open_tracer(job.tracer, job.blender_python, job.samples)
 
     def _read_scenes(self) -> None:
         for _, _, msg in self._bag.messages([self._topics.scene]):
@@ -291,6 +297,8 @@ class _Rendering:
             pending.frames.result(), pending.messages, pending.T_target_cameras, strict=True
         ):
             kinds = self._kinds[messages.camera.name]
+            if self._tracer is not None and frame.rgb is not None:
+                frame = replace(frame, rgb=self._tracer.colors(pending.state, frame))
             frame_items.append(FrameItem(messages, kinds, frame, T_target_camera, pending.log_ns))
             self._images += 1
             self._outputs += len(messages.camera.outputs)
@@ -365,18 +373,24 @@ class _Rendering:
         assert self._frame_history is not None and self._renderer is not None
         messages = [self._cameras[name] for name in cameras]
         specs = [m.to_draw(frozenset(self._kinds[m.camera.name])) for m in messages]
+        if self._tracer is not None and self._traced is not self._drawn:
+            assert self._drawn is not None
+            self._tracer.load(self._drawn, state, self._renderer.render)
+            self._traced = self._drawn
         frames = self._frame_history.start(state, [spec for spec in specs if spec is not None])
         targets = [
             None if m.target is None else invert(self._renderer.camera_matrix(state, m.target)) @ self._renderer.camera_matrix(state, m.camera)
             for m in messages
         ]  # fmt: skip
         self._write_pending(queue)
-        self._pending = _UnwrittenFrames(frames, messages, targets, log_ns)
+        self._pending = _UnwrittenFrames(frames, state, messages, targets, log_ns)
 
     def __enter__(self) -> _Rendering:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._tracer is not None:
+            self._tracer.close()
         if self._renderer is not None:
             self._renderer.close()
 
@@ -386,6 +400,7 @@ class _UnwrittenFrames:
     """Frames that are being rendered, and how they are written to the bag."""
 
     frames: PendingFrames
+    state: SceneState
     messages: list[CameraMessages]
     """Messages of the camera of each frame."""
     T_target_cameras: list[Mat4 | None]

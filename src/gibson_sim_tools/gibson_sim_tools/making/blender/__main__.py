@@ -17,7 +17,7 @@ import numpy as np
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim_tools.making.blender.assembly import Assembly, assemble
-from gibson_sim_tools.making.blender.bake import Stage
+from gibson_sim_tools.making.blender.bake import BakedStage
 from gibson_sim_tools.making.blender.denoise import denoise
 from gibson_sim_tools.making.blender.mirrors import mirrors_of, reflection
 from gibson_sim_tools.making.building import Quality, read_plan
@@ -54,14 +54,14 @@ def _build_and_bake(plan: Path, work: Path) -> None:
     ]
     mirrors = work / "mirrors.npz"
     if missing or not mirrors.exists():
-        stage = Stage(building, assembly, quality.samples)
+        stage = BakedStage(building, assembly, quality.samples)
         _bake_all(stage, quality, missing, work)
         if not mirrors.exists():
             _render_mirrors(assembly, quality, mirrors)
     _report_progress("baked", 1.0)
 
 
-def _bake_all(stage: Stage, quality: Quality, missing: list[tuple[int, str]], work: Path) -> None:
+def _bake_all(stage: BakedStage, quality: Quality, missing: list[tuple[int, str]], work: Path) -> None:
     # The last atlas has the smallest charts, with the fewest pixels for the denoiser.
     factors = np.linspace(1.0, 2.0, quality.atlases) if quality.atlases > 1 else np.ones(1)
     costs = [_COLOR_COST if pass_name == "color" else quality.samples * factors[k] for k, pass_name in missing]

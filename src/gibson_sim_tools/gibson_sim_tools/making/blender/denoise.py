@@ -14,9 +14,10 @@ _CPU, _FLOAT3 = 1, 3
 _NAMES = ("libOpenImageDenoise.so*", "libOpenImageDenoise*.dylib", "OpenImageDenoise.dll")
 
 
-def denoise(image: F32) -> F32:
+def denoise(image: F32, **features: F32) -> F32:
     """Denoises an image of linear light, (H, W, 3); returns it unchanged if the library is missing or fails.
 
+    ``features``: ``albedo`` and ``normal`` of the first surfaces, (H, W, 3), whose edges the result keeps.
     See https://www.openimagedenoise.org/documentation.html (C99 API).
     """
     library = _library()
@@ -27,9 +28,10 @@ def denoise(image: F32) -> F32:
     device = library.oidnNewDevice(_CPU)
     library.oidnCommitDevice(device)
     denoiser = library.oidnNewFilter(device, b"RT")
-    for name, array in ((b"color", source), (b"output", result)):
+    arrays = {"color": source, "output": result} | {k: np.ascontiguousarray(v, dtype=np.float32) for k, v in features.items()}
+    for name, array in arrays.items():
         height, width = array.shape[:2]
-        library.oidnSetSharedFilterImage(denoiser, name, array.ctypes.data, _FLOAT3, width, height, 0, 0, 0)
+        library.oidnSetSharedFilterImage(denoiser, name.encode(), array.ctypes.data, _FLOAT3, width, height, 0, 0, 0)
     library.oidnSetFilterBool(denoiser, b"hdr", True)
     library.oidnCommitFilter(denoiser)
     library.oidnExecuteFilter(denoiser)
