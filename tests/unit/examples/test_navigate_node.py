@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ require("rclpy", "nav_msgs", "tf2_msgs")
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped  # noqa: E402
 from nav_msgs.msg import OccupancyGrid, Odometry  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import LaserScan  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
@@ -25,6 +24,7 @@ from gibson_examples.errors import MapError, SettingError  # noqa: E402
 from gibson_examples.geometry import Pose2D  # noqa: E402
 from gibson_examples.node import NavigateNode  # noqa: E402
 from gibson_examples.pure_pursuit import Velocity  # noqa: E402
+from support.fed_node import FedNode  # noqa: E402
 from unit.examples.drawing import empty_room, ranges_at  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -42,44 +42,58 @@ def map_msg() -> Any:
     return msg
 
 
-class Fed:
-    """The node, what it sent, and a robot in a room whose odometry began at 2, 2."""
+Feed = Callable[..., FedNode]
 
-    def __init__(self, context: Any, **parameters: Any) -> None:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        self.node = NavigateNode(context=context, parameter_overrides=overrides)
-        self.sent: list[Any] = []
-        self.tfs: list[Any] = []
-        self.node._cmd_pub.publish = self.sent.append
-        self.node._tf_pub.publish = self.tfs.append
+
+class Fed:
+    """The node, and a robot in a room whose odometry began at 2, 2."""
+
+    def __init__(self, feed: Feed, **parameters: Any) -> None:
+        self.node = feed(NavigateNode, **parameters)
         static = TransformStamped(child_frame_id="base_scan")
         static.header.frame_id = "base_footprint"
         static.transform.translation.z, static.transform.rotation.w = 0.16, 1.0
-        self.node._on_tf_static(TFMessage(transforms=[static]))
+        self.node.receive("/tf_static", TFMessage(transforms=[static]))
+
+    @property
+    def sent(self) -> list[Any]:
+        """Its commands."""
+        return self.node.sent("cmd_vel")
+
+    @property
+    def tfs(self) -> list[Any]:
+        return self.node.sent("/tf")
+
+    @property
+    def status(self) -> str:
+        return str(self.node.sent("navigation/status")[-1].data)
+
+    def map(self) -> None:
+        self.node.receive("map", map_msg())
 
     def tf(self, ms: int, odom: Pose2D) -> None:
-        self.node._on_tf(TFMessage(transforms=[conversions.transform_msg(odom, ms * MS, "odom", "base_footprint")]))
+        self.node.receive("/tf", TFMessage(transforms=[conversions.transform_msg(odom, ms * MS, "odom", "base_footprint")]))
 
     def odometry(self, ms: int) -> None:
         msg = Odometry()
         msg.header.stamp = conversions.time_msg(ms * MS)
-        self.node._on_odometry(msg)
+        self.node.receive("odom", msg)
 
     def scan(self, ms: int, odom: Pose2D) -> None:
         ranges = ranges_at(ROOM, START @ odom)
         msg = LaserScan(angle_increment=2 * math.pi / len(ranges), range_min=0.1, range_max=12.0)
         msg.header.stamp, msg.header.frame_id = conversions.time_msg(ms * MS), "base_scan"
         msg.ranges = array("f", ranges.astype(np.float32).tobytes())
-        self.node._on_scan(msg)
+        self.node.receive("scan", msg)
 
     def initial_pose(self) -> None:
         msg = PoseWithCovarianceStamped()
         msg.pose.pose.position.x = msg.pose.pose.position.y = 2.0
         msg.pose.pose.orientation.w = 1.0
-        self.node._on_initial_pose(msg)
+        self.node.receive("initialpose", msg)
 
     def goal(self, x: float) -> None:
-        self.node._on_goal(conversions.goal_msg(Pose2D(x, 2.0, 0.0), 0, "map"))
+        self.node.receive("goal_pose", conversions.goal_msg(Pose2D(x, 2.0, 0.0), 0, "map"))
 
 
 def velocities(fed: Fed) -> list[tuple[float, float]]:
@@ -97,11 +111,10 @@ def drive(fed: Fed, *, scan_first: bool = False) -> None:
 
 
 @pytest.fixture
-def fed(context: Any) -> Iterator[Fed]:
-    fed = Fed(context, initial_pose="2,2,0", goal="4,2,0")
-    fed.node._on_map(map_msg())
-    yield fed
-    fed.node.destroy_node()
+def fed(feed: Feed) -> Fed:
+    fed = Fed(feed, initial_pose="2,2,0", goal="4,2,0")
+    fed.map()
+    return fed
 
 
 HERE = Pose2D(0.0, 0.0, 0.0)
@@ -157,7 +170,7 @@ def test_commands_come_at_twenty_hertz_of_the_robots_time(fed: Fed) -> None:
     fed.odometry(0)
     fed.tf(0, HERE)
     fed.scan(0, HERE)
-    fed.sent.clear()
+    fed.node.forget()
     for ms in range(10, 501, 10):
         fed.tf(ms, HERE)
     assert len(fed.sent) == 10
@@ -175,32 +188,31 @@ def test_a_period_begins_with_a_new_goal(fed: Fed) -> None:
     fed.tf(50, HERE)
     fed.tf(80, HERE)
     fed.goal(3.0)
-    fed.sent.clear()
+    fed.node.forget()
     fed.tf(120, HERE)
     assert fed.sent == []
     fed.tf(130, HERE)
     assert len(fed.sent) == 1
 
 
-def test_a_command_does_not_depend_on_whether_the_scan_of_its_time_is_there(context: Any) -> None:
+def test_a_command_does_not_depend_on_whether_the_scan_of_its_time_is_there(feed: Feed) -> None:
     drives = []
     for scan_first in (False, True):
-        fed = Fed(context, initial_pose="2,2,0", goal="4,3,0")
-        fed.node._on_map(map_msg())
+        fed = Fed(feed, initial_pose="2,2,0", goal="4,3,0")
+        fed.map()
         drive(fed, scan_first=scan_first)
         drives.append((velocities(fed), [conversions.stamp_ns(tf.transforms[0].header.stamp) for tf in fed.tfs]))
-        fed.node.destroy_node()
-    assert drives[0] == drives[1]
+        assert drives[0] == drives[1]
     assert drives[0][0][-1][0] > 0.0, "it drives"
     assert drives[0][1] == [ms * MS + 200 * MS for ms in range(100, 1001, 100)], "each scan is answered by a transform"
 
 
-def test_a_drive_after_a_reset_repeats_the_first_one(context: Any) -> None:
-    fed = Fed(context)
-    fed.node._on_map(map_msg())
+def test_a_drive_after_a_reset_repeats_the_first_one(feed: Feed) -> None:
+    fed = Fed(feed)
+    fed.map()
     drives = []
     for _ in range(2):
-        fed.sent.clear()
+        fed.node.forget()
         fed.initial_pose()
         fed.goal(4.0)
         drive(fed)
@@ -208,17 +220,15 @@ def test_a_drive_after_a_reset_repeats_the_first_one(context: Any) -> None:
     assert drives[0] == drives[1]
     assert drives[0][0] == (0.0, 0.0), "not localised after the reset"
     assert drives[0][-1][0] > 0.0
-    fed.node.destroy_node()
 
 
-def test_requests_that_wait_for_the_map_are_answered_when_it_arrives(context: Any) -> None:
-    fed = Fed(context, initial_pose="2,2,0", goal="4,2,0")
+def test_requests_that_wait_for_the_map_are_answered_when_it_arrives(feed: Feed) -> None:
+    fed = Fed(feed, initial_pose="2,2,0", goal="4,2,0")
     fed.tf(50, HERE)
     fed.scan(50, HERE)
     assert (fed.sent, fed.tfs) == ([], [])
-    fed.node._on_map(map_msg())
+    fed.map()
     assert (velocities(fed), len(fed.tfs)) == ([(0.0, 0.0)], 1)
-    fed.node.destroy_node()
 
 
 def test_jump_back_in_time_restarts_localisation(fed: Fed) -> None:
@@ -233,17 +243,19 @@ def test_jump_back_in_time_restarts_localisation(fed: Fed) -> None:
 def test_goal_in_another_frame_is_ignored(fed: Fed) -> None:
     goal = PoseStamped()
     goal.header.frame_id, goal.pose.orientation.w = "odom", 1.0
-    fed.node._on_goal(goal)
-    assert fed.node._goal == Pose2D(4.0, 2.0, 0.0)
+    fed.node.receive("goal_pose", goal)
+    assert "goal_pose is in frame 'odom', must be in 'map'; it is ignored" in fed.node.lines
+    drive(fed)
+    assert fed.status == "driving 4.00,2.00,0"
 
 
-def test_initial_pose_by_topic_starts_the_robot(context: Any) -> None:
-    fed = Fed(context, goal="4,2,0", stamped=True)
-    fed.node._on_map(map_msg())
+def test_initial_pose_by_topic_starts_the_robot(feed: Feed) -> None:
+    fed = Fed(feed, goal="4,2,0", stamped=True)
+    fed.map()
     fed.odometry(0)
     fed.tf(0, HERE)
     fed.scan(0, HERE)
-    assert fed.node._status == "waiting for initialpose"
+    assert fed.status == "waiting for initialpose"
     fed.initial_pose()
     fed.odometry(50)
     fed.scan(50, HERE)
@@ -251,17 +263,16 @@ def test_initial_pose_by_topic_starts_the_robot(context: Any) -> None:
     fed.tf(100, HERE)
     assert fed.sent[-1].twist.linear.x > 0.0
     assert conversions.stamp_ns(fed.sent[-1].header.stamp) == 100 * MS
-    fed.node.destroy_node()
 
 
-def test_wrong_goal_is_refused_at_the_start(context: Any) -> None:
+def test_wrong_goal_is_refused_at_the_start(feed: Feed) -> None:
     with pytest.raises(SettingError, match="parameter goal is 'kitchen'"):
-        Fed(context, goal="kitchen")
+        Fed(feed, goal="kitchen")
 
 
-def test_goal_that_is_read_as_a_number_is_refused_in_one_line(context: Any) -> None:
+def test_goal_that_is_read_as_a_number_is_refused_in_one_line(feed: Feed) -> None:
     with pytest.raises(SettingError, match=r"^parameter goal is 7\.4, must be of type str"):
-        Fed(context, goal=7.4)
+        Fed(feed, goal=7.4)
 
 
 def test_map_that_is_turned_is_refused() -> None:

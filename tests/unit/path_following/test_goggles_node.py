@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,8 +16,7 @@ from support.simulation import require
 require("rclpy", "sensor_msgs")
 
 from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import ReliabilityPolicy  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 
 from gibson_path_following.errors import SettingError, ViewError  # noqa: E402
@@ -25,14 +24,16 @@ from gibson_path_following.nodes import conversions  # noqa: E402
 from gibson_path_following.nodes.camera_infos import CameraInfos  # noqa: E402
 from gibson_path_following.nodes.goggles import GogglesNode  # noqa: E402
 from gibson_path_following.nodes.image_watch import ImageWatch  # noqa: E402
+from support.fed_node import FedNode  # noqa: E402
 
 pytestmark = pytest.mark.ros
 K = [5.0, 0.0, 5.0, 0.0, 5.0, 3.0, 0.0, 0.0, 1.0]
 
 
-def _image(second: int, frame: str = "front_optical") -> Image:
-    msg = Image(height=6, width=10, encoding="rgb8", step=30, data=bytes([100] * 180))
-    msg.header.frame_id, msg.header.stamp.sec = frame, second
+def _image(second: int, size: tuple[int, int] = (10, 6)) -> Image:
+    width, height = size
+    msg = Image(height=height, width=width, encoding="rgb8", step=3 * width, data=bytes([100] * 3 * width * height))
+    msg.header.frame_id, msg.header.stamp.sec = "front_optical", second
     return msg
 
 
@@ -42,28 +43,24 @@ def _info(second: int, width: int = 10, fx: float = 5.0) -> CameraInfo:
     return msg
 
 
+Make = Callable[..., FedNode]
+OUTPUTS = ("goggles/image_raw", "goggles/camera_info")
+
+
 @pytest.fixture
-def make(context: Any) -> Iterator[Callable[..., Any]]:
-    """Returns a function that makes the node, with its messages in ``sent`` and its lines in ``lines``."""
-    made: list[Any] = []
-
-    def start(cli_args: tuple[str, ...] = (), **parameters: Any) -> Any:
-        values = [Parameter(name, value=value) for name, value in {"mode": "histogram", **parameters}.items()]
-        node: Any = GogglesNode(context=context, use_global_arguments=False, cli_args=list(cli_args), parameter_overrides=values)
-        made.append(node)
-        node.sent, node.lines = [], []
-        node._image_pub.publish = node._info_pub.publish = node.sent.append
-        for level in ("info", "warning", "error"):
-            setattr(node.get_logger(), level, lambda text, **_: node.lines.append(text))
-        return node
-
-    yield start
-    for node in made:
-        node.destroy_node()
+def make(feed: Make) -> Make:
+    """Makes the node."""
+    return lambda **parameters: feed(GogglesNode, **{"mode": "histogram", **parameters})
 
 
-def _stamps(node: Any) -> list[tuple[str, int, str]]:
-    return [(type(msg).__name__, msg.header.stamp.sec, msg.header.frame_id) for msg in node.sent]
+def _see(fed: FedNode, *seconds: int, size: tuple[int, int] = (10, 6)) -> None:
+    for second in seconds:
+        fed.receive("camera/image_raw", _image(second, size=size))
+
+
+def _stamps(fed: FedNode) -> list[tuple[str, int, str]]:
+    """Returns type, stamp and frame of what was published, in its order."""
+    return [(type(msg).__name__, msg.header.stamp.sec, msg.header.frame_id) for msg in fed.sent(*OUTPUTS)]
 
 
 # camera_info
@@ -115,114 +112,116 @@ def test_only_the_newest_camera_infos_are_kept() -> None:
     assert found is not None and found.k[0] == 3.0
 
 
-def test_every_image_is_published_with_a_camera_info_of_its_stamp(make: Callable[..., Any]) -> None:
-    node = make()
-    node._infos.add(_info(1))
-    for second in (1, 2):
-        node._on_image(_image(second))
-    assert _stamps(node) == [
+def test_every_image_is_published_with_a_camera_info_of_its_stamp(make: Make) -> None:
+    fed = make()
+    fed.receive("camera/camera_info", _info(1))
+    _see(fed, 1, 2)
+    assert _stamps(fed) == [
         ("CameraInfo", 1, "info_optical"), ("Image", 1, "front_optical"), ("CameraInfo", 2, "front_optical"), ("Image", 2, "front_optical"),
     ]  # fmt: skip
 
 
-def test_a_camera_info_without_an_image_is_not_published_and_one_of_another_size_is_one_line(make: Callable[..., Any]) -> None:
-    node = make()
-    node._infos.add(_info(1, width=20))
-    assert node.sent == []
-    node._on_image(_image(2))
-    assert _stamps(node) == [("Image", 2, "front_optical")]
-    assert node.lines == [
+def test_a_camera_info_without_an_image_is_not_published_and_one_of_another_size_is_one_line(make: Make) -> None:
+    fed = make()
+    fed.receive("camera/camera_info", _info(1, width=20))
+    assert _stamps(fed) == []
+    _see(fed, 2)
+    assert _stamps(fed) == [("Image", 2, "front_optical")]
+    assert fed.lines == [
         "an image has 10x6 pixels, /camera/camera_info is of 20x6: such images are published without camera_info; publish that of the same "
         "camera and size"
     ]
 
 
-def _infos_that_come_late(monkeypatch: pytest.MonkeyPatch, node: Any, *late: list[CameraInfo]) -> None:
+def _infos_that_come_late(monkeypatch: pytest.MonkeyPatch, fed: FedNode, *late: list[CameraInfo]) -> None:
     """Lets the node find camera_infos at the n-th look into their queue, at ``late[n]``."""
     queue = iter(late)
     monkeypatch.setattr(
-        "gibson_path_following.nodes.goggles.pop_queue", lambda of: next(queue, ()) if of is node._info_sub else ()
+        "gibson_path_following.nodes.goggles.pop_queue",
+        lambda of: next(queue, ()) if of is fed.subscription("camera/camera_info") else (),
     )
-    monkeypatch.setattr(node, "count_publishers", lambda topic: topic == "/camera/camera_info")
+    monkeypatch.setattr(fed.node, "count_publishers", lambda topic: topic == "/camera/camera_info")
 
 
-def test_the_first_image_of_each_size_waits_for_its_camera_info(
-    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = make()
-    node._infos.add(_info(1, width=20))
-    node._size = (20, 6)
-    _infos_that_come_late(monkeypatch, node, [], [_info(2, fx=7.0)])
-    node._on_image(_image(2))
-    assert node.sent[0] == _info(2, fx=7.0)
-    assert _stamps(node) == [("CameraInfo", 2, "info_optical"), ("Image", 2, "front_optical")] and node.lines == []
+def test_the_first_image_of_each_size_waits_for_its_camera_info(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    fed = make()
+    fed.receive("camera/camera_info", _info(1, width=20))
+    _see(fed, 1, size=(20, 6))
+    _infos_that_come_late(monkeypatch, fed, [], [_info(2, fx=7.0)])
+    _see(fed, 2)
+    assert fed.sent("goggles/camera_info")[-1] == _info(2, fx=7.0)
+    assert _stamps(fed)[2:] == [("CameraInfo", 2, "info_optical"), ("Image", 2, "front_optical")] and fed.lines == []
 
 
 def test_an_image_does_not_wait_longer_than_allowed_nor_a_second_one_of_its_size(
-    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    node, slept = make(), list[float]()
+    fed, slept = make(), list[float]()
     monkeypatch.setattr(
         "gibson_path_following.nodes.goggles.time",
         SimpleNamespace(monotonic=lambda: sum(slept), sleep=slept.append),
     )
-    _infos_that_come_late(monkeypatch, node)
-    node._on_image(_image(1))
-    assert 0.05 <= sum(slept) < 0.06 and _stamps(node) == [("Image", 1, "front_optical")]
+    _infos_that_come_late(monkeypatch, fed)
+    _see(fed, 1)
+    assert 0.05 <= sum(slept) < 0.06 and _stamps(fed) == [("Image", 1, "front_optical")]
     slept.clear()
-    node._on_image(_image(2))
+    _see(fed, 2)
     assert slept == []
 
 
-def test_an_image_does_not_wait_if_no_camera_info_is_published(make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    node = make()
+def test_an_image_does_not_wait_if_no_camera_info_is_published(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    fed = make()
     monkeypatch.setattr("gibson_path_following.nodes.goggles.time.sleep", lambda _: pytest.fail("it has waited"))
-    node._on_image(_image(1))
-    assert _stamps(node) == [("Image", 1, "front_optical")]
+    _see(fed, 1)
+    assert _stamps(fed) == [("Image", 1, "front_optical")]
 
 
 # Images
 
 
-def test_the_newest_waiting_image_is_adapted_and_counts_are_logged(
-    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = make()
+def test_the_newest_waiting_image_is_adapted_and_counts_are_logged(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    fed = make()
     waiting = [_image(2), _image(3)]
-    monkeypatch.setattr("gibson_path_following.nodes.goggles.pop_queue", lambda of: waiting if of is node._image_sub else ())
-    node._on_image(_image(1))
-    assert _stamps(node) == [("Image", 3, "front_optical")]
+    monkeypatch.setattr(
+        "gibson_path_following.nodes.goggles.pop_queue", lambda of: waiting if of is fed.subscription("camera/image_raw") else ()
+    )
+    _see(fed, 1)
+    assert _stamps(fed) == [("Image", 3, "front_optical")]
     waiting.clear()
-    node._log_counts()
-    node._log_counts()
-    node._on_image(_image(4))
-    node.stop()
-    assert node.lines == [
+    fed.expire_timers(10.0)
+    fed.expire_timers(10.0)
+    _see(fed, 4)
+    fed.node.stop()
+    assert fed.infos == [
         "images in 10 s: 3 received, 1 adapted, 2 skipped, 0 unusable",
         "images in all: 4 received, 2 adapted, 2 skipped, 0 unusable",
     ]
 
 
 def test_with_a_longer_queue_all_images_are_received_reliably_and_adapted_in_their_order(
-    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    node = make(queue_size=100)
-    assert node._image_sub.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+    fed = make(queue_size=100)
+    assert fed.subscription("camera/image_raw").qos_profile.reliability == ReliabilityPolicy.RELIABLE
     waiting = [_image(2), _image(3)]
-    monkeypatch.setattr("gibson_path_following.nodes.goggles.pop_queue", lambda of: waiting if of is node._image_sub else ())
-    node._on_image(_image(1))
+    monkeypatch.setattr(
+        "gibson_path_following.nodes.goggles.pop_queue", lambda of: waiting if of is fed.subscription("camera/image_raw") else ()
+    )
+    _see(fed, 1)
     waiting.clear()
-    node._log_counts()
-    assert node.lines == ["images in 10 s: 3 received, 1 adapted, 0 skipped, 0 unusable, 2 waiting"]
-    while node._queue.waiting:
-        node._adapt_next()
-    assert [second for _, second, _ in _stamps(node)] == [1, 2, 3]
+    fed.expire_timers(10.0)
+    assert fed.infos == ["images in 10 s: 3 received, 1 adapted, 0 skipped, 0 unusable, 2 waiting"]
+    fed.spin_until(lambda: len(_stamps(fed)) == 3, "third image")
+    assert [second for _, second, _ in _stamps(fed)] == [1, 2, 3]
 
 
-def test_a_best_effort_publisher_is_named_where_images_must_be_reliable(make: Callable[..., Any]) -> None:
-    node = make(queue_size=7)
-    node._on_incompatible_qos(None)
-    assert node.lines == [
+def test_a_best_effort_publisher_is_named_where_images_must_be_reliable(make: Make) -> None:
+    fed = make(queue_size=7)
+    camera = Node("camera", context=fed.node.context)
+    camera.create_publisher(Image, "camera/image_raw", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    fed.spin_until(lambda: fed.lines != [], "line about the publisher")
+    camera.destroy_node()
+    assert fed.lines == [
         "the images on /camera/image_raw are published best effort, and queue_size 7 needs reliable ones; set it to 1, or the publisher's "
         "reliability to reliable"
     ]
@@ -280,33 +279,40 @@ def test_a_compressed_image_keeps_its_geometry_whatever_its_exif_orientation(ori
     ("topic", "name"),
     [("goggles/image_raw", "image_raw"), ("/goggles/image_raw", "image_raw"), ("goggles/other", "camera_info")],
 )
-def test_its_own_output_is_refused_as_its_input(make: Callable[..., Any], topic: str, name: str) -> None:
+def test_its_own_output_is_refused_as_its_input(make: Make, topic: str, name: str) -> None:
     with pytest.raises(
         SettingError, match=f"image_topic is '{topic}', but /goggles/{name} is an output of this node; choose the topic of"
     ):
         make(image_topic=topic)
 
 
-def test_its_own_output_is_refused_when_it_is_remapped(make: Callable[..., Any]) -> None:
+def test_its_own_output_is_refused_when_it_is_remapped(make: Make) -> None:
     with pytest.raises(SettingError, match="is 'camera/image_raw', but /goggles/image_raw is an output of this node"):
-        make(("--ros-args", "-r", "camera/image_raw:=goggles/image_raw"))
+        make(cli_args=("--ros-args", "-r", "camera/image_raw:=goggles/image_raw"))
 
 
-def test_a_topic_of_compressed_images_is_one_when_it_is_remapped(make: Callable[..., Any]) -> None:
-    assert make(("--ros-args", "-r", "camera/image_raw:=front/image_raw/compressed"))._image_sub.msg_type is CompressedImage
-    assert make(image_topic="front/image_raw/compressed")._image_sub.msg_type is CompressedImage
-    assert make()._image_sub.msg_type is Image
+def test_a_topic_of_compressed_images_is_one_when_it_is_remapped(make: Make) -> None:
+    def type_of(topic: str, **parameters: Any) -> Any:
+        return make(**parameters).subscription(topic).msg_type
+
+    remapped = ("--ros-args", "-r", "camera/image_raw:=front/image_raw/compressed")
+    assert type_of("camera/image_raw", cli_args=remapped) is CompressedImage
+    assert type_of("front/image_raw/compressed", image_topic="front/image_raw/compressed") is CompressedImage
+    assert type_of("camera/image_raw") is Image
 
 
-def test_a_topic_of_another_type_is_named(context: Any) -> None:
-    node, lines = Node("watch", context=context), list[str]()
-    node.get_logger().warning = lambda text, **_: lines.append(text)
-    node.create_publisher(CompressedImage, "front", 1)
-    watch = ImageWatch(node, {"front": Image}, "parameter image_topic")
-    watch.warn()
+class WatchNode(Node):
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("watch", **kwargs)
+
+
+def test_a_topic_of_another_type_is_named(feed: Make) -> None:
+    fed = feed(WatchNode)
+    fed.node.create_publisher(CompressedImage, "front", 1)
+    watch = ImageWatch(fed.node, {"front": Image}, "parameter image_topic")
+    fed.expire_timers(5.0)
     watch.close()
-    node.destroy_node()
-    assert lines == [
+    assert fed.lines == [
         "/front is published as sensor_msgs/msg/CompressedImage, this node subscribes to sensor_msgs/msg/Image there; choose another topic "
         "with parameter image_topic: names that end in /compressed are sensor_msgs/msg/CompressedImage"
     ]

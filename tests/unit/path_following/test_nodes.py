@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,20 +24,17 @@ from support.simulation import require
 
 require("rclpy", "sensor_msgs", "lifecycle_msgs")
 
-from geometry_msgs.msg import Twist  # noqa: E402
+from geometry_msgs.msg import Twist, Vector3  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Joy  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
 from gibson_path_following.errors import ModelError, PathFolderError, PathFollowingError, SettingError, ViewError  # noqa: E402
-from gibson_path_following.nodes import camera_input, conversions, running  # noqa: E402
+from gibson_path_following.nodes import camera_input, conversions, path_policy, running  # noqa: E402
 from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
 from gibson_path_following.nodes.image_watch import ImageWatch  # noqa: E402
 from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
@@ -48,8 +45,11 @@ from gibson_path_following.nodes.running import run_node  # noqa: E402
 from gibson_path_following.options import CameraOptions, Options  # noqa: E402
 from gibson_path_following.paths import path_folder  # noqa: E402
 from gibson_path_following.paths.path_folder import load_path, save_path  # noqa: E402
+from gibson_path_following.policies.backends import make_policy  # noqa: E402
 from gibson_path_following.types import PathNode, RecordedPath, Velocity  # noqa: E402
+from support.fed_node import FedNode  # noqa: E402
 
+Feed = Callable[..., FedNode]
 pytestmark = pytest.mark.ros
 NS = 1_000_000_000
 TICK = NS // 5
@@ -69,25 +69,49 @@ def _path() -> RecordedPath:
     return RecordedPath("pinhole", 1.4, nodes)
 
 
-class Driven:
-    """The policy with a clock and a publisher of this test."""
+def _image_msg(node: int, stamp_ns: int) -> Image:
+    msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
+    msg.header.stamp = conversions.time_msg(stamp_ns)
+    return msg
 
-    def __init__(self, context: Any, folder: Path, **parameters: Any) -> None:
-        values = {"path": str(folder), "use_camera_info": False, "backend": "teach_repeat", **parameters}
-        self.node = PathPolicyNode(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in values.items()])
-        self.sent: list[float] = []
-        self.now_ns = 0
-        self.node._cmd_pub.publish = lambda msg: self.sent.append(msg.linear.x)
-        self.node.get_clock = lambda: SimpleNamespace(now=lambda: Time(nanoseconds=self.now_ns))
-        self.lines: list[str] = []
-        for level in ("warning", "error"):
-            setattr(self.node.get_logger(), level, lambda text, **_: self.lines.append(text))
+
+class Driven:
+    """The policy on a path."""
+
+    def __init__(self, feed: Feed, folder: Path, **parameters: Any) -> None:
+        self.fed = feed(PathPolicyNode, path=str(folder), **{"use_camera_info": False, "backend": "teach_repeat", **parameters})
+        self.lines = self.fed.lines
+
+    @property
+    def speed(self) -> float:
+        """The newest commanded speed, m/s."""
+        return float(self.fed.sent("cmd_vel")[-1].linear.x)
+
+    @property
+    def speeds(self) -> set[float]:
+        return {msg.linear.x for msg in self.fed.sent("cmd_vel")}
+
+    @property
+    def states(self) -> list[str]:
+        return [msg.data for msg in self.fed.sent("path/state")]
+
+    @property
+    def state(self) -> str:
+        return self.states[-1]
+
+    @property
+    def index(self) -> float:
+        """The place of the newest view, nodes."""
+        return float(self.fed.sent("path/index")[-1].data)
 
     def see(self, node: int, stamp_ns: int, now_ns: int | None = None) -> None:
-        self.now_ns = stamp_ns if now_ns is None else now_ns
-        msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
-        msg.header.stamp = conversions.time_msg(stamp_ns)
-        self.node._input._on_image("front", "camera/image_raw", msg)
+        self.fed.now_ns = stamp_ns if now_ns is None else now_ns
+        self.fed.receive("camera/image_raw", _image_msg(node, stamp_ns))
+
+    def wait(self, ns: int) -> None:
+        """Lets time pass until the watchdog works, ns."""
+        self.fed.now_ns += ns
+        self.fed.expire_timers(0.1)
 
     def begin(self) -> int:
         """Sees the first node until it drives; returns the time."""
@@ -102,17 +126,14 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "path"
 
 
-def test_robot_drives_once_it_is_localised_and_stops_without_images(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder)
-    now = driven.begin()
-    assert driven.sent[0] == 0.0 and driven.sent[-1] > 0.2 and driven.node._state == "following"
-    driven.now_ns = now + NS // 2
-    driven.node._on_timer()
-    assert driven.sent[-1] > 0.2, "images are half a second old, which is allowed"
-    driven.now_ns += 1
-    driven.node._on_timer()
-    assert driven.sent[-1] == 0.0 and driven.node._state == "stale"
-    driven.node.destroy_node()
+def test_robot_drives_once_it_is_localised_and_stops_without_images(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder)
+    driven.begin()
+    assert driven.fed.sent("cmd_vel")[0].linear.x == 0.0 and driven.speed > 0.2 and driven.state == "following"
+    driven.wait(NS // 2)
+    assert driven.speed > 0.2, "images are half a second old, which is allowed"
+    driven.wait(1)
+    assert driven.speed == 0.0 and driven.state == "stale"
 
 
 @pytest.fixture
@@ -138,156 +159,154 @@ def wall(monkeypatch: pytest.MonkeyPatch) -> Any:
     ],
 )
 def test_images_of_another_clock_never_drive_the_robot_and_are_reported(
-    context: Any, folder: Path, wall: Any, ahead_s: int, line: str
+    feed: Feed, folder: Path, wall: Any, ahead_s: int, line: str
 ) -> None:
-    driven = Driven(context, folder)
+    driven = Driven(feed, folder)
     for k in range(1, 20):
         wall.ns += TICK
         driven.see(0, 4000 * NS + k * TICK + ahead_s * NS, 4000 * NS + k * TICK)
-        driven.node._on_timer()
-    assert set(driven.sent) == {0.0} and driven.node._state == "waiting"
+        driven.wait(0)
+    assert driven.speeds == {0.0} and driven.state == "waiting"
     assert driven.lines and all(f"image stamps are {line}" in each for each in driven.lines)
-    driven.node.destroy_node()
 
 
-def test_one_image_from_the_future_or_the_past_changes_nothing(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder)
+def test_one_image_from_the_future_or_the_past_changes_nothing(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder)
     driven.begin()
     for k in range(4, 24):
         driven.see(int(0.4 * (k - 3)), k * TICK)
     for stamp in (23 * TICK + 20 * NS, 0):
         driven.see(0, stamp, 23 * TICK)
     driven.see(8, 24 * TICK)
-    assert driven.node._follower.place.index > 5.0 and driven.sent[-1] > 0.2 and driven.lines == []
-    driven.node.destroy_node()
+    assert driven.index > 5.0 and driven.speed > 0.2 and driven.lines == []
 
 
-def test_a_policy_that_is_too_slow_for_its_images_does_not_drive(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder)
+@pytest.fixture
+def policy(monkeypatch: pytest.MonkeyPatch) -> Callable[[], Any]:
+    """Returns the policy of the node that has been made, to disturb it."""
+    made: list[Any] = []
+
+    def make(*args: Any) -> Any:
+        made.append(make_policy(*args))
+        return made[-1]
+
+    monkeypatch.setattr(path_policy, "make_policy", make)
+    return lambda: made[-1][0]
+
+
+def test_a_policy_that_is_too_slow_for_its_images_does_not_drive(feed: Feed, folder: Path, policy: Callable[[], Any]) -> None:
+    driven = Driven(feed, folder)
     now = driven.begin()
-    act = driven.node._follower._policy.act
+    act = policy().act
 
     def slow(*args: Any) -> Velocity:
-        driven.now_ns += NS
+        driven.fed.now_ns += NS
         return act(*args)
 
-    driven.node._follower._policy.act = slow
+    policy().act = slow
     driven.see(0, now + TICK)
-    assert driven.sent[-1] == 0.0 and driven.node._state == "stale"
+    assert driven.speed == 0.0 and driven.state == "stale"
     assert driven.lines == [
         "teach_repeat needed 1.0 s for a view, after which it was 1.0 s old: this machine is too slow for stale_after 0.5 s"
     ]
-    driven.node.destroy_node()
 
 
-def test_states_from_the_start_on_come_in_their_order_and_none_alarms(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder)
-    states = [driven.node._state]
-    for act in (driven.node._on_timer, lambda: driven.see(0, TICK), driven.node._on_timer, lambda: driven.see(0, 2 * TICK)):
-        act()
-        states.append(driven.node._state)
-    assert states == ["waiting", "waiting", "localising", "localising", "following"]
-    driven.node.destroy_node()
+def test_states_from_the_start_on_come_in_their_order_and_none_alarms(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder)
+    driven.wait(0)
+    driven.see(0, TICK)
+    driven.wait(0)
+    driven.see(0, 2 * TICK)
+    assert driven.states == ["waiting", "localising", "following"]
 
 
 def test_a_path_that_cannot_be_read_is_an_error_and_no_state(
-    context: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    feed: Feed, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(PathFolderError, match="cannot read"):
-        Driven(context, tmp_path / "none")
+        Driven(feed, tmp_path / "none")
     assert "inactive" not in capfd.readouterr().err
 
 
-def test_robot_stands_while_the_policy_fails_and_goes_on_afterwards(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder)
+def test_robot_stands_while_the_policy_fails_and_goes_on_afterwards(feed: Feed, folder: Path, policy: Callable[[], Any]) -> None:
+    driven = Driven(feed, folder)
     now = driven.begin()
-    observe = driven.node._follower.observe
+    act = policy().act
 
     def fails(*args: Any) -> Velocity:
         raise ModelError("net.onnx: its output holds a NaN or an infinity; export it anew")
 
-    driven.node._follower.observe = fails
+    policy().act = fails
     driven.see(0, now + TICK)
-    assert driven.sent[-1] == 0.0 and driven.node._state == "failed"
-    driven.node._on_timer()
-    assert driven.sent[-1] == 0.0 and driven.node._state == "failed", "what was commanded before does not go on"
-    driven.node._follower.observe = observe
+    assert driven.speed == 0.0 and driven.state == "failed"
+    driven.wait(0)
+    assert driven.speed == 0.0 and driven.state == "failed", "what was commanded before does not go on"
+    policy().act = act
     driven.see(0, now + 2 * TICK)
     driven.see(0, now + 3 * TICK)
-    assert driven.sent[-1] > 0.2 and driven.node._state == "following"
-    driven.node.destroy_node()
+    assert driven.speed > 0.2 and driven.state == "following"
 
 
-def test_robot_drives_only_while_the_dead_mans_switch_is_held(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder, deadman_button=1)
+def test_robot_drives_only_while_the_dead_mans_switch_is_held(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder, deadman_button=1)
     now = driven.begin()
-    assert set(driven.sent) == {0.0} and driven.node._state == "held"
-    driven.node._on_joy(Joy(buttons=[0, 1]))
+    assert driven.speeds == {0.0} and driven.state == "held"
+    driven.fed.receive("joy", Joy(buttons=[0, 1]))
     driven.see(0, now + TICK)
-    assert driven.sent[-1] > 0.2
-    driven.node._on_joy(Joy(buttons=[1, 0]))
-    assert driven.sent[-1] == 0.0, "at once"
-    driven.node._on_joy(Joy(buttons=[0, 1]))
-    driven.now_ns += 2 * NS
-    driven.node._on_timer()
-    assert driven.sent[-1] == 0.0, "joy is silent"
-    driven.node.destroy_node()
+    assert driven.speed > 0.2
+    driven.fed.receive("joy", Joy(buttons=[1, 0]))
+    assert driven.speed == 0.0, "at once"
+    driven.fed.receive("joy", Joy(buttons=[0, 1]))
+    driven.wait(2 * NS)
+    assert driven.speed == 0.0, "joy is silent"
 
 
-def test_robot_stands_until_a_lifecycle_manager_activates_the_node(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder, autostart=False)
-    assert driven.node._input is None and driven.node._state == "inactive"
-    driven.node.trigger_configure()
-    driven.node.trigger_activate()
+def test_robot_stands_until_a_lifecycle_manager_activates_the_node(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder, autostart=False)
+    assert driven.fed.subscription("camera/image_raw") is None and driven.state == "inactive"
+    driven.fed.node.trigger_configure()
+    driven.fed.node.trigger_activate()
     driven.begin()
-    assert driven.sent[-1] > 0.2
-    driven.node.trigger_deactivate()
-    assert driven.sent[-1] == 0.0 and driven.node._input is None and driven.node._state == "inactive"
-    driven.node.trigger_cleanup()
-    driven.node.destroy_node()
+    assert driven.speed > 0.2
+    driven.fed.node.trigger_deactivate()
+    assert driven.speed == 0.0 and driven.fed.subscription("camera/image_raw") is None and driven.state == "inactive"
+    driven.fed.node.trigger_cleanup()
 
 
-def test_a_transition_that_is_not_possible_is_refused_and_the_robot_drives_on(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder)
+def test_a_transition_that_is_not_possible_is_refused_and_the_robot_drives_on(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder)
     now = driven.begin()
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
-    response = driven.node._service_change_state.callback(request, ChangeState.Response())
+    response = driven.fed.call("path_policy/change_state", request)
     assert not response.success
     assert driven.lines == ["transition 'configure' is not possible while path_policy is active; possible: deactivate, shutdown"]
     driven.see(0, now + TICK)
-    assert driven.sent[-1] > 0.2
+    assert driven.speed > 0.2
     request.transition.id = Transition.TRANSITION_DEACTIVATE
-    assert driven.node._service_change_state.callback(request, ChangeState.Response()).success
-    assert driven.sent[-1] == 0.0
-    driven.node.destroy_node()
+    assert driven.fed.call("path_policy/change_state", request).success
+    assert driven.speed == 0.0
 
 
-def test_a_path_that_cannot_be_read_fails_the_transition(context: Any, tmp_path: Path) -> None:
-    node = PathPolicyNode(
-        context=context,
-        parameter_overrides=[Parameter("path", value=str(tmp_path / "none")), Parameter("autostart", value=False)],
-    )
-    assert node.trigger_configure().name == "FAILURE"
-    node.destroy_node()
+def test_a_path_that_cannot_be_read_fails_the_transition(feed: Feed, tmp_path: Path) -> None:
+    driven = Driven(feed, tmp_path / "none", autostart=False)
+    assert driven.fed.node.trigger_configure().name == "FAILURE"
 
 
-def test_stamps_that_go_back_begin_the_path_again(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder)
+def test_stamps_that_go_back_begin_the_path_again(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder)
     driven.begin()
     for k in range(4, 24):
         driven.see(int(0.4 * (k - 3)), k * TICK)  # 0.4 m/s, as commanded
-    assert driven.node._follower.place.index > 5.0
+    assert driven.index > 5.0
     driven.see(0, 1)
-    assert driven.node._follower.place.index < 1.0
-    driven.node.destroy_node()
+    assert driven.index < 1.0
 
 
 class Recording:
     """The recorder, which gets a node for each image."""
 
-    def __init__(self, context: Any, folder: Path, **parameters: Any) -> None:
+    def __init__(self, feed: Feed, folder: Path, **parameters: Any) -> None:
         values = {
-            "folder": str(folder),
             "use_camera_info": False,
             "camera_hfov_deg": 80.0,
             "use_odometry": False,
@@ -295,215 +314,206 @@ class Recording:
             "autostart": True,
             **parameters,
         }
-        self.node = PathRecorderNode(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in values.items()])
-        self._on_image = self.node._input._on_image  # as a message that came before the recording ended
+        self.fed = feed(PathRecorderNode, folder=str(folder), **values)
+        # As messages that came before the recording ended.
+        self._on_image = self.fed.subscription(values.get("image_topics", ["camera/image_raw"])[0]).callback
 
     def see(self, node: int, stamp_ns: int) -> None:
-        msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
-        msg.header.stamp = conversions.time_msg(stamp_ns)
-        self._on_image("front", "camera/image_raw", msg)
+        self._on_image(_image_msg(node, stamp_ns))
+
+    def stop(self) -> None:
+        self.fed.node.stop()
 
 
-def test_a_path_is_written_when_stamps_go_back_and_the_next_one_does_not_replace_it(context: Any, tmp_path: Path) -> None:
-    recording = Recording(context, tmp_path / "new")
+def test_a_path_is_written_when_stamps_go_back_and_the_next_one_does_not_replace_it(feed: Feed, tmp_path: Path) -> None:
+    recording = Recording(feed, tmp_path / "new")
     for k in range(8):
         recording.see(k, 10 * NS + k * TICK)
     recording.see(0, NS)
     recording.see(1, 2 * NS)
     assert len(load_path(tmp_path / "new").nodes) == 8
-    answer = recording.node._on_start(None, Trigger.Response())
+    answer = recording.fed.call("path_recorder/start")
     assert not answer.success
     assert answer.message == f"cannot write {tmp_path / 'new'}: it exists; give a new folder, or set replace to true"
-    recording.node.stop()
+    recording.stop()
     assert len(load_path(tmp_path / "new").nodes) == 8
-    recording.node.destroy_node()
 
 
-def test_a_recording_goes_on_if_stamps_go_back_before_the_robot_drives(context: Any, tmp_path: Path) -> None:
-    recording = Recording(context, tmp_path / "new")
+def test_a_recording_goes_on_if_stamps_go_back_before_the_robot_drives(feed: Feed, tmp_path: Path) -> None:
+    recording = Recording(feed, tmp_path / "new")
     recording.see(0, 10 * NS)
     for k in range(4):
         recording.see(k, NS + k * TICK)
-    recording.node.stop()
+    recording.stop()
     assert [node.stamp_ns for node in load_path(tmp_path / "new").nodes] == [NS + k * TICK for k in range(4)]
-    recording.node.destroy_node()
 
 
-def test_a_folder_that_exists_is_refused_before_anything_is_recorded(context: Any, folder: Path) -> None:
+def test_a_folder_that_exists_is_refused_before_anything_is_recorded(feed: Feed, folder: Path) -> None:
     with pytest.raises(PathFolderError, match="it exists; give a new folder, or set replace to true"):
-        Recording(context, folder)
-    Recording(context, folder, replace=True).node.destroy_node()
+        Recording(feed, folder)
+    Recording(feed, folder, replace=True)
 
 
-def test_a_folder_that_is_being_recorded_is_refused_to_a_second_recorder_until_it_is_written(
-    context: Any, tmp_path: Path
-) -> None:
-    first = Recording(context, tmp_path / "new", replace=True)
+def test_a_folder_that_is_being_recorded_is_refused_to_a_second_recorder_until_it_is_written(feed: Feed, tmp_path: Path) -> None:
+    first = Recording(feed, tmp_path / "new", replace=True)
     with pytest.raises(PathFolderError, match="another recorder has this folder; end that one, or give another folder"):
-        Recording(context, tmp_path / "new", replace=True)
-    second = Recording(context, tmp_path / "other", replace=True)
+        Recording(feed, tmp_path / "new", replace=True)
+    second = Recording(feed, tmp_path / "other", replace=True)
     for k in range(4):
         first.see(k, NS + k * TICK)
-    assert first.node._on_stop(None, Trigger.Response()).success
-    third = Recording(context, tmp_path / "new", replace=True)
+    assert first.fed.call("path_recorder/stop").success
+    third = Recording(feed, tmp_path / "new", replace=True)
     third.see(0, NS)
     for recording in (second, third):
         with pytest.raises(PathFollowingError, match="no path is written"):
-            recording.node.stop()
+            recording.stop()
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["new"] and len(load_path(tmp_path / "new").nodes) == 4
     for recording in (first, second, third):
-        recording.node.destroy_node()
+        recording.fed.node.destroy_node()
 
 
-def test_a_single_image_of_another_time_does_not_end_the_recording(context: Any, tmp_path: Path) -> None:
-    recording, lines = Recording(context, tmp_path / "new"), list[str]()
-    recording.node.get_logger().warning = lambda text, **_: lines.append(text)
+def test_a_single_image_of_another_time_does_not_end_the_recording(feed: Feed, tmp_path: Path) -> None:
+    recording = Recording(feed, tmp_path / "new")
     for k, stamp_ns in enumerate(
         (10 * NS, 10 * NS + TICK, 20 * NS, 10 * NS + 2 * TICK, 0, 10 * NS + 3 * TICK, 10 * NS + 4 * TICK)
     ):
         recording.see(k, stamp_ns)
-    recording.node.stop()
+    recording.stop()
     assert [node.stamp_ns for node in load_path(tmp_path / "new").nodes] == [10 * NS + k * TICK for k in range(5)]
-    assert lines == [
+    assert recording.fed.lines == [
         "images: one stamp was 9.6 s ahead of the next one and is left out; correct the driver",
         "images: one stamp was 10.6 s behind the next one and is left out; correct the driver",
     ]
-    recording.node.destroy_node()
 
 
-def test_a_path_that_cannot_be_written_is_kept_and_a_second_stop_writes_it(context: Any, tmp_path: Path) -> None:
-    recording = Recording(context, tmp_path / "new")
+def test_a_path_that_cannot_be_written_is_kept_and_a_second_stop_writes_it(feed: Feed, tmp_path: Path) -> None:
+    recording = Recording(feed, tmp_path / "new")
     for k in range(4):
         recording.see(k, NS + k * TICK)
     (tmp_path / "new").mkdir()
     kept = "the path is kept: call path_recorder/stop to try again, or end the node, which writes new-2"
-    answer = recording.node._on_stop(None, Trigger.Response())
+    answer = recording.fed.call("path_recorder/stop")
     assert not answer.success
     assert answer.message == f"cannot write {tmp_path / 'new'}: it exists; give a new folder; {kept}"
-    assert recording.node._on_start(None, Trigger.Response()).message == f"the last path is not written yet; {kept}"
+    assert recording.fed.call("path_recorder/start").message == f"the last path is not written yet; {kept}"
     (tmp_path / "new").rmdir()
-    answer = recording.node._on_stop(None, Trigger.Response())
+    answer = recording.fed.call("path_recorder/stop")
     assert answer.success and answer.message == f"wrote {tmp_path / 'new'}: 4 nodes without poses, 0.00 m"
     assert len(load_path(tmp_path / "new").nodes) == 4
-    assert not recording.node._on_stop(None, Trigger.Response()).success
-    recording.node.stop()
-    recording.node.destroy_node()
+    assert not recording.fed.call("path_recorder/stop").success
+    recording.stop()
 
 
-def test_a_path_that_cannot_be_written_at_the_end_of_the_node_goes_to_a_folder_beside(context: Any, tmp_path: Path) -> None:
-    recording = Recording(context, tmp_path / "new")
+def test_a_path_that_cannot_be_written_at_the_end_of_the_node_goes_to_a_folder_beside(feed: Feed, tmp_path: Path) -> None:
+    recording = Recording(feed, tmp_path / "new")
     for k in range(4):
         recording.see(k, NS + k * TICK)
     for name in ("new", "new-2"):
         (tmp_path / name).mkdir()
     with pytest.raises(PathFollowingError) as caught:
-        recording.node.stop()
+        recording.stop()
     assert str(caught.value) == (
         f"cannot write {tmp_path / 'new'}: it exists; give a new folder; wrote {tmp_path / 'new-3'}: 4 nodes without poses, 0.00 m"
     )
     assert len(load_path(tmp_path / "new-3").nodes) == 4
-    recording.node.stop()
-    recording.node.destroy_node()
+    recording.stop()
 
 
 def test_a_path_that_cannot_be_written_beside_its_folder_goes_to_that_of_temporary_files(
-    context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    feed: Feed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "disk").mkdir()
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    recording = Recording(context, tmp_path / "disk" / "new")
+    recording = Recording(feed, tmp_path / "disk" / "new")
     for k in range(4):
         recording.see(k, NS + k * TICK)
     shutil.rmtree(tmp_path / "disk")
     (tmp_path / "disk").write_text("a file now")
     with pytest.raises(PathFollowingError, match=r"disk is not a folder; give another folder; wrote .*temporary/new-2: 4 nodes"):
-        recording.node.stop()
+        recording.stop()
     assert len(load_path(tmp_path / "temporary" / "new-2").nodes) == 4
-    recording.node.destroy_node()
 
 
-def test_a_path_that_is_as_long_as_can_be_read_is_written(context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_that_is_as_long_as_can_be_read_is_written(feed: Feed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_folder, "MAX_PIXELS", 3 * WIDTH * HEIGHT)
-    recording = Recording(context, tmp_path / "new")
+    recording = Recording(feed, tmp_path / "new")
     for k in range(5):
         recording.see(k, NS + k * TICK)
-    assert len(load_path(tmp_path / "new").nodes) == 3 and recording.node._input is None
-    recording.node.stop()
-    recording.node.destroy_node()
+    assert len(load_path(tmp_path / "new").nodes) == 3 and recording.fed.subscription("camera/image_raw") is None
+    recording.stop()
 
 
-def test_a_lens_that_sees_behind_itself_is_refused_at_the_first_image_of_a_pinhole_path(context: Any, tmp_path: Path) -> None:
-    recording = Recording(context, tmp_path / "new", use_camera_info=True)
+def test_a_lens_that_sees_behind_itself_is_refused_at_the_first_image_of_a_pinhole_path(feed: Feed, tmp_path: Path) -> None:
+    recording = Recording(feed, tmp_path / "new", use_camera_info=True)
     # Equidistant, 15 pixels a radian: the 96 pixels would be 366 degrees, of which 219.75 are searched.
     info = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="equidistant", d=[0.0] * 4)
     info.k = [15.0, 0.0, 47.5, 0.0, 15.0, 31.5, 0.0, 0.0, 1.0]
-    recording.node._input._on_info("front", info)
+    recording.fed.receive("camera/camera_info", info)
     recording.see(0, NS)
-    assert recording.node._recorder.nodes == 0
+    assert recording.fed.sent("path_recorder/nodes") == []
     line = "the camera sees 220 degrees, a pinhole camera of a path at most 179; set hfov_deg, to 120 for example"
     with pytest.raises(PathFollowingError, match=f"no path is written: no image could be used: camera/image_raw: {line}"):
-        recording.node.stop()
-    recording.node.destroy_node()
+        recording.stop()
 
 
 class Localised:
-    """The localiser on a path, and what it publishes."""
+    """The localiser on a path."""
 
-    def __init__(self, context: Any, folder: Path) -> None:
-        values = {"path": str(folder), "use_camera_info": False}
-        self.node = PathLocaliserNode(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in values.items()])
-        self.places: list[Any] = []
-        self.node._publisher.publish = lambda stamp_ns, place, state: self.places.append(place)
-        self.lines: list[str] = []
-        self.node.get_logger().warning = lambda text, **_: self.lines.append(text)
-        self.now_ns = 0
-        self.node.get_clock = lambda: SimpleNamespace(now=lambda: Time(nanoseconds=self.now_ns))
+    def __init__(self, feed: Feed, folder: Path) -> None:
+        self.fed = feed(PathLocaliserNode, path=str(folder), use_camera_info=False)
+
+    @property
+    def is_lost(self) -> list[bool]:
+        """What is published with each view."""
+        return [msg.data for msg in self.fed.sent("path/lost")]
+
+    @property
+    def indices(self) -> list[float]:
+        return [msg.data for msg in self.fed.sent("path/index")]
 
     def see(self, node: int, stamp_ns: int) -> None:
-        msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
-        msg.header.stamp = conversions.time_msg(stamp_ns)
-        self.node._input._on_image("front", "camera/image_raw", msg)
+        self.fed.receive("camera/image_raw", _image_msg(node, stamp_ns))
 
 
-def test_a_robot_that_is_pushed_is_localised_by_its_images_alone(context: Any, folder: Path) -> None:
-    localised = Localised(context, folder)
-    localised.node._on_command(Twist())  # from a node that has ended: it has no publisher now
+@pytest.mark.parametrize(("publishers", "moved"), [(0, range(1, 10)), (1, 9 * [0.0])])
+def test_a_robot_that_is_pushed_is_localised_by_its_images_alone_once_no_node_commands_it(
+    feed: Feed, folder: Path, monkeypatch: pytest.MonkeyPatch, publishers: int, moved: Sequence[float]
+) -> None:
+    localised = Localised(feed, folder)
+    # Nodes of other tests may just be ending.
+    monkeypatch.setattr(localised.fed.node, "count_publishers", lambda topic: publishers if topic == "/cmd_vel" else 0)
+    localised.fed.receive("cmd_vel", Twist())
     for k in range(10):
         localised.see(k, (k + 1) * TICK)
-    assert [place.is_lost for place in localised.places] == [True] + 9 * [False]
-    assert [place.index for place in localised.places[1:]] == pytest.approx(range(1, 10), abs=0.5)
-    localised.node.destroy_node()
+    assert localised.is_lost == [True] + 9 * [False]
+    assert localised.indices[1:] == pytest.approx(moved, abs=0.5)
 
 
 @pytest.mark.parametrize("wrong_ns", [0, 50 * NS, 150 * NS])
-def test_one_image_of_another_time_does_not_reset_the_localiser_and_is_reported(
-    context: Any, folder: Path, wrong_ns: int
-) -> None:
-    localised = Localised(context, folder)
+def test_one_image_of_another_time_does_not_reset_the_localiser_and_is_reported(feed: Feed, folder: Path, wrong_ns: int) -> None:
+    localised = Localised(feed, folder)
     for k in range(5):
         localised.see(k, 100 * NS + k * TICK)
     localised.see(0, wrong_ns)
     for k in range(5, 8):
         localised.see(k, 100 * NS + k * TICK)
-    assert [place.is_lost for place in localised.places] == [True] + 7 * [False]
-    assert localised.places[-1].index == pytest.approx(7.0, abs=0.5)
-    assert len(localised.lines) == 1 and localised.lines[0].startswith("images: one stamp was ")
-    localised.node.destroy_node()
+    assert localised.is_lost == [True] + 7 * [False]
+    assert localised.indices[-1] == pytest.approx(7.0, abs=0.5)
+    assert len(localised.fed.lines) == 1 and localised.fed.lines[0].startswith("images: one stamp was ")
 
 
-def test_two_images_of_an_earlier_time_reset_the_localiser(context: Any, folder: Path) -> None:
-    localised = Localised(context, folder)
+def test_two_images_of_an_earlier_time_reset_the_localiser(feed: Feed, folder: Path) -> None:
+    localised = Localised(feed, folder)
     for k in range(8):
         localised.see(k, 100 * NS + k * TICK)
     localised.see(0, NS)  # a bag that plays again
-    assert len(localised.places) == 8
+    assert len(localised.is_lost) == 8
     localised.see(0, NS + TICK)
     localised.see(0, NS + 2 * TICK)
-    assert [place.is_lost for place in localised.places[8:]] == [True, False, False]
-    assert localised.places[-1].index == pytest.approx(0.0, abs=0.5)
-    assert localised.lines == ["stamps have gone back: localising anew"]
-    localised.node.destroy_node()
+    assert localised.is_lost[8:] == [True, False, False]
+    assert localised.indices[-1] == pytest.approx(0.0, abs=0.5)
+    assert localised.fed.lines == ["stamps have gone back: localising anew"]
 
 
 def _info() -> CameraInfo:
@@ -513,43 +523,40 @@ def _info() -> CameraInfo:
     return info
 
 
-def test_images_wait_for_their_camera_info(context: Any, folder: Path, wall: Any) -> None:
-    driven = Driven(context, folder, use_camera_info=True)
+def test_images_wait_for_their_camera_info(feed: Feed, folder: Path, wall: Any) -> None:
+    driven = Driven(feed, folder, use_camera_info=True)
     driven.see(0, TICK)
-    assert driven.node._follower.place is None and driven.lines == []
+    assert driven.fed.sent("path/index") == [] and driven.lines == []
     wall.ns += 2 * NS
     driven.see(0, TICK)  # stamps that stand still do not silence the line
     assert driven.lines == ["no camera_info beside camera/image_raw yet; publish it, or set use_camera_info to false"]
-    driven.node._input._on_info("front", _info())
+    driven.fed.receive("camera/camera_info", _info())
     driven.see(0, 2 * TICK)
-    assert driven.node._follower.place is not None
-    driven.node.destroy_node()
+    assert driven.fed.sent("path/index") != []
 
 
 def test_an_image_whose_camera_info_arrives_after_it_is_used_unless_it_is_too_old_by_then(
-    context: Any, folder: Path, tmp_path: Path
+    feed: Feed, folder: Path, tmp_path: Path
 ) -> None:
-    recording = Recording(context, tmp_path / "new", use_camera_info=True, camera_hfov_deg=0.0)
+    recording = Recording(feed, tmp_path / "new", use_camera_info=True, camera_hfov_deg=0.0)
     recording.see(0, NS)
-    recording.node._input._on_info("front", _info())
+    recording.fed.receive("camera/camera_info", _info())
     recording.see(1, NS + TICK)
-    recording.node._input._on_info("front", _info())
-    recording.node.stop()
+    recording.fed.receive("camera/camera_info", _info())
+    recording.stop()
     assert [node.stamp_ns for node in load_path(tmp_path / "new").nodes] == [NS, NS + TICK]
-    recording.node.destroy_node()
-    driven = Driven(context, folder, use_camera_info=True)
+    driven = Driven(feed, folder, use_camera_info=True)
     driven.see(0, TICK)
-    driven.now_ns += NS
-    driven.node._input._on_info("front", _info())
-    assert driven.node._follower.place is None
-    driven.node.destroy_node()
+    driven.fed.now_ns += NS
+    driven.fed.receive("camera/camera_info", _info())
+    assert driven.fed.sent("path/index") == []
 
 
-def test_a_camera_info_without_calibration_or_with_an_impossible_one_stops_the_robot(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder, use_camera_info=True)
-    driven.node._input._on_info("front", _info())
+def test_a_camera_info_without_calibration_or_with_an_impossible_one_stops_the_robot(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder, use_camera_info=True)
+    driven.fed.receive("camera/camera_info", _info())
     now = driven.begin()
-    assert driven.sent[-1] > 0.2
+    assert driven.speed > 0.2
     for k, (value, line) in enumerate(
         [
             (
@@ -561,50 +568,53 @@ def test_a_camera_info_without_calibration_or_with_an_impossible_one_stops_the_r
     ):
         info = _info()
         info.k = [value] * 9
-        driven.node._input._on_info("front", info)
+        driven.fed.receive("camera/camera_info", info)
         driven.see(0, now + (1 + 4 * k) * TICK)
-        driven.now_ns += 3 * TICK
-        driven.node._on_timer()
-        assert driven.sent[-1] == 0.0 and driven.lines.pop().startswith(f"camera/image_raw: {line}")
-        driven.node._input._on_info("front", _info())
-        driven.see(0, driven.now_ns)
-        assert driven.sent[-1] > 0.2
-    driven.node.destroy_node()
+        driven.wait(3 * TICK)
+        assert driven.speed == 0.0 and driven.lines.pop().startswith(f"camera/image_raw: {line}")
+        driven.fed.receive("camera/camera_info", _info())
+        driven.see(0, driven.fed.now_ns)
+        assert driven.speed > 0.2
+
+
+class PairNode(Node):
+    """The input of a fisheye pair that is calibrated, and the stamps of its views."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("pair", **kwargs)
+        self.stamps: list[int] = []
+        options = CameraOptions(image_topics=("front/image_raw", "back/image_raw"), use_camera_info=False, rate_hz=5.0)
+        camera_input.CameraInput(
+            self, options, "fisheye_pair", (32, 32), 3.0, lambda stamp, _: self.stamps.append(stamp), lambda: None
+        )
 
 
 class Pairs:
-    """The input of a fisheye pair that is calibrated, and the stamps of its views."""
+    """What cameras send to ``PairNode``, and the stamps of its views."""
 
-    def __init__(self, context: Any, **options: Any) -> None:
-        self.node, self.stamps, self.lines = Node("pairs", context=context), list[int](), list[str]()
-        self.node.get_logger().warning = lambda text, **_: self.lines.append(text)
-        self.now_ns = 0
-        self.node.get_clock = lambda: SimpleNamespace(now=lambda: Time(nanoseconds=self.now_ns))
-        values = {"image_topics": ("front/image_raw", "back/image_raw"), "use_camera_info": False, **options}
-        self.input = camera_input.CameraInput(
-            self.node, CameraOptions(**values), "fisheye_pair", (32, 32), 3.0, lambda stamp, _: self.stamps.append(stamp), list
-        )
+    def __init__(self, feed: Feed) -> None:
+        self.fed = feed(PairNode)
+        self.stamps, self.lines = self.fed.node.stamps, self.fed.lines
 
     def see(self, name: str, stamp_ns: int) -> None:
-        self.now_ns = stamp_ns
         msg = Image(height=32, width=32, encoding="mono8", step=32, data=bytes(32 * 32))
         msg.header.stamp = conversions.time_msg(stamp_ns)
-        self.input._on_image(name, f"{name}/image_raw", msg)
+        self.fed.now_ns = stamp_ns
+        self.fed.receive(f"{name}/image_raw", msg)
 
 
-def test_one_lost_image_of_a_pair_does_not_end_the_views(context: Any) -> None:
-    pairs, step = Pairs(context, rate_hz=5.0), NS // 20
+def test_one_lost_image_of_a_pair_does_not_end_the_views(feed: Feed) -> None:
+    pairs, step = Pairs(feed), NS // 20
     for k in range(40):
         pairs.see("front", k * step)
         if k != 8:
             pairs.see("back", k * step)
     # At most 5 a second of 20; the view of 8 is not complete.
     assert [stamp // step for stamp in pairs.stamps] == [0, 4, 9, 13, 17, 21, 25, 29, 33, 37]
-    pairs.node.destroy_node()
 
 
-def test_a_pair_that_is_never_taken_at_the_same_time_is_one_line(context: Any, wall: Any) -> None:
-    pairs = Pairs(context)
+def test_a_pair_that_is_never_taken_at_the_same_time_is_one_line(feed: Feed, wall: Any) -> None:
+    pairs = Pairs(feed)
     for _ in range(30):
         wall.ns += NS // 10
         pairs.see("front", wall.ns)
@@ -612,11 +622,10 @@ def test_a_pair_that_is_never_taken_at_the_same_time_is_one_line(context: Any, w
     assert pairs.stamps == []
     line = "the images of front and back are 50 ms apart by their stamps, sync_tolerance allows 20 ms; trigger the cameras at the same"
     assert pairs.lines and all(each.startswith(line) for each in pairs.lines)
-    pairs.node.destroy_node()
 
 
-def test_a_camera_of_a_pair_that_died_is_one_line(context: Any, wall: Any) -> None:
-    pairs = Pairs(context)
+def test_a_camera_of_a_pair_that_died_is_one_line(feed: Feed, wall: Any) -> None:
+    pairs = Pairs(feed)
     wall.ns += 10 * NS  # the cameras start later
     for k in range(40):
         wall.ns += NS // 10
@@ -625,39 +634,42 @@ def test_a_camera_of_a_pair_that_died_is_one_line(context: Any, wall: Any) -> No
             pairs.see("back", wall.ns)
     assert len(pairs.stamps) == 5  # of 10 in a second
     assert pairs.lines and set(pairs.lines) == {"images come from front, but not from back; do all cameras run?"}
-    pairs.node.destroy_node()
 
 
-def test_a_recording_of_one_camera_of_a_pair_says_which_one_is_missing(context: Any, tmp_path: Path, wall: Any) -> None:
+def test_a_recording_of_one_camera_of_a_pair_says_which_one_is_missing(feed: Feed, tmp_path: Path, wall: Any) -> None:
     topics = ["front/image_raw", "back/image_raw"]
-    recording = Recording(context, tmp_path / "new", camera="fisheye_pair", image_topics=topics, hfov_deg=180.0)
+    recording = Recording(feed, tmp_path / "new", camera="fisheye_pair", image_topics=topics, hfov_deg=180.0)
     for _ in range(30):
         wall.ns += NS // 10
         recording.see(0, wall.ns)
     with pytest.raises(
         PathFollowingError, match="no image could be used: images come from front, but not from back; do all cameras run"
     ):
-        recording.node.stop()
-    recording.node.destroy_node()
+        recording.stop()
 
 
-def test_topics_without_images_and_stamps_that_stand_still_are_one_line(context: Any) -> None:
-    node, lines = Node("watch", context=context, namespace="robot"), list[str]()
-    node.get_logger().warning = lambda text, **_: lines.append(text)
-    watch = ImageWatch(node, {"front/image_raw": Image, "back/image_raw": Image}, "parameter image_topics")
-    watch.warn()
-    assert len(lines) == 2
-    assert lines[1] == "no image has come from /robot/back/image_raw; does the camera run, and is parameter image_topics right?"
+class WatchNode(Node):
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("watch", namespace="robot", **kwargs)
+
+
+def test_topics_without_images_and_stamps_that_stand_still_are_one_line(feed: Feed) -> None:
+    fed = feed(WatchNode)
+    watch = ImageWatch(fed.node, {"front/image_raw": Image, "back/image_raw": Image}, "parameter image_topics")
+    fed.expire_timers(5.0)
+    assert len(fed.lines) == 2
+    assert (
+        fed.lines[1] == "no image has come from /robot/back/image_raw; does the camera run, and is parameter image_topics right?"
+    )
     for _ in range(9):
         watch.note("front/image_raw", 0)
-    lines.clear()
-    watch.warn()
-    assert len(lines) == 1 and "back" in lines[0]
+    fed.lines.clear()
+    fed.expire_timers(5.0)
+    assert len(fed.lines) == 1 and "back" in fed.lines[0]
     watch.note("front/image_raw", 0)
-    assert lines[1] == "the last 10 images from front/image_raw all have the stamp 0.000 s; correct the camera's driver"
+    assert fed.lines[1] == "the last 10 images from front/image_raw all have the stamp 0.000 s; correct the camera's driver"
     watch.close()
     watch.close()
-    node.destroy_node()
 
 
 @pytest.mark.parametrize(
@@ -670,44 +682,36 @@ def test_topics_without_images_and_stamps_that_stand_still_are_one_line(context:
         ({"start": 12.0}, "start is 12, must be -1 = anywhere, or a node of the path, 0 to 11"),
     ],
 )
-def test_parameters_that_cannot_be_used_are_one_line(context: Any, folder: Path, values: dict[str, Any], part: str) -> None:
+def test_parameters_that_cannot_be_used_are_one_line(feed: Feed, folder: Path, values: dict[str, Any], part: str) -> None:
     with pytest.raises(SettingError, match=part):
-        Driven(context, folder, **values)
+        Driven(feed, folder, **values)
 
 
-def test_a_misspelt_parameter_is_warned_of_and_those_of_ros_are_not(
-    context: Any, folder: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    Driven(
-        context, folder, max_liner=0.2, use_sim_time=False, **{"qos_overrides./clock.subscription.depth": 1}
-    ).node.destroy_node()
-    warned = [line for line in capfd.readouterr().err.splitlines() if "is unknown" in line]
-    assert len(warned) == 1 and "parameter 'max_liner' is unknown and has no effect; did you mean 'max_linear'?" in warned[0]
+def test_a_misspelt_parameter_is_warned_of_and_those_of_ros_are_not(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder, max_liner=0.2, use_sim_time=False, **{"qos_overrides./clock.subscription.depth": 1})
+    assert driven.lines == ["parameter 'max_liner' is unknown and has no effect; did you mean 'max_linear'?"]
 
 
 PROGRAMS = ("path_recorder", "path_localiser", "path_policy", "path_evaluator", "camera_faults", "goggles")
 
 
-def test_an_activation_that_fails_ends_the_node_with_autostart(
-    context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_activation_that_fails_ends_the_node_with_autostart(feed: Feed, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(PathPolicyNode, "on_activate", lambda *_: TransitionCallbackReturn.FAILURE)
     with pytest.raises(PathFollowingError, match="path_policy cannot be activated"):
-        Driven(context, folder)
+        Driven(feed, folder)
 
 
-def test_a_transition_that_raises_stops_the_robot(context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_transition_that_raises_stops_the_robot(feed: Feed, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(PathPolicyNode, "on_deactivate", lambda *_: 1 // 0)
-    driven = Driven(context, folder)
+    driven = Driven(feed, folder)
     driven.begin()
-    driven.node.trigger_deactivate()
-    assert driven.sent[-1] == 0.0 and driven.node._input is None and driven.node._state == "inactive"
+    driven.fed.node.trigger_deactivate()
+    assert driven.speed == 0.0 and driven.fed.subscription("camera/image_raw") is None and driven.state == "inactive"
     assert driven.lines == ["the transition from active failed; configure and activate path_policy again"]
-    driven.node.trigger_configure()
-    driven.node.trigger_activate()
+    driven.fed.node.trigger_configure()
+    driven.fed.node.trigger_activate()
     driven.begin()
-    assert driven.sent[-1] > 0.2
-    driven.node.destroy_node()
+    assert driven.speed > 0.2
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
@@ -847,73 +851,78 @@ def test_sigint_while_ros_starts_ends_a_program_at_once(monkeypatch: pytest.Monk
     assert found == [signal.SIG_DFL]
 
 
-def test_descriptions_and_ranges_are_declared(context: Any, folder: Path) -> None:
-    driven = Driven(context, folder)
-    descriptor = driven.node.describe_parameter("max_linear")
+def test_descriptions_and_ranges_are_declared(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder)
+    descriptor = driven.fed.node.describe_parameter("max_linear")
     assert descriptor.description == "maximum speed, m/s"
     assert (descriptor.floating_point_range[0].from_value, descriptor.floating_point_range[0].to_value) == (0.01, 10.0)
-    driven.node.destroy_node()
 
 
-def test_the_evaluator_judges_from_the_first_move_to_a_second_after_the_end(context: Any, folder: Path, tmp_path: Path) -> None:
-    file = tmp_path / "result.json"
-    node = PathEvaluatorNode(
-        context=context, parameter_overrides=[Parameter("path", value=str(folder)), Parameter("file", value=str(file))]
-    )
+class Evaluated:
+    """The evaluator of a path, and its file."""
 
-    def at(seconds: float, x: float) -> None:
+    def __init__(self, feed: Feed, folder: Path, file: Path) -> None:
+        self.file = file
+        self.fed = feed(PathEvaluatorNode, path=str(folder), file=str(file))
+
+    def robot_is_at(self, seconds: float, x: float) -> None:
         msg = Odometry()
         msg.header.stamp = conversions.time_msg(round(seconds * NS))
         msg.pose.pose.position.x, msg.pose.pose.orientation.w = x, 1.0
-        node._on_truth(msg)
+        self.fed.receive("ground_truth/odom", msg)
 
-    node._on_collision(Bool(data=True))  # before the drive: it does not count
-    node._on_collision(Bool(data=False))
-    at(0.0, -5.0)
-    node._on_state(String(data="following"))
+    def touch(self) -> None:
+        """The robot touches an object for a moment."""
+        for value in (True, False):
+            self.fed.receive("bumper", Bool(data=value))
+
+    def policy_is(self, state: str) -> None:
+        self.fed.receive("path/state", String(data=state))
+
+    @property
+    def result(self) -> Any:
+        return json.loads(self.file.read_text())
+
+
+@pytest.fixture
+def evaluated(feed: Feed, folder: Path, tmp_path: Path) -> Evaluated:
+    return Evaluated(feed, folder, tmp_path / "result.json")
+
+
+def test_the_evaluator_judges_from_the_first_move_to_a_second_after_the_end(evaluated: Evaluated) -> None:
+    evaluated.touch()  # before the drive: it does not count
+    evaluated.robot_is_at(0.0, -5.0)
+    evaluated.policy_is("following")
     for k in range(23):
-        at(1.0 + 0.25 * k, 0.1 * k)
+        evaluated.robot_is_at(1.0 + 0.25 * k, 0.1 * k)
         if k == 10:
-            node._on_collision(Bool(data=True))
-            node._on_collision(Bool(data=False))
-    node._on_state(String(data="finished"))
-    at(7.0, 2.2)
-    assert node.exit_code is None
-    at(7.5, 2.2)
-    assert node.exit_code == 0
-    result = json.loads(file.read_text())
+            evaluated.touch()
+    evaluated.policy_is("finished")
+    evaluated.robot_is_at(7.0, 2.2)
+    assert evaluated.fed.node.exit_code is None
+    evaluated.robot_is_at(7.5, 2.2)
+    assert evaluated.fed.node.exit_code == 0
+    result = evaluated.result
     # The path is 2.2 m long, straight, and was driven whole; it was touched once.
     assert (result["success"], result["arrived"], result["coverage"], result["collisions"]) == (False, True, 1.0, 1)
     assert result["travelled"] == pytest.approx(2.2) and result["deviation_max"] == pytest.approx(0.0, abs=1e-9)
     assert [state for _, state in result["states"]] == ["following", "finished"]
-    node.destroy_node()
 
 
-def test_the_evaluator_starts_over_at_a_reset_and_says_when_there_was_no_drive(
-    context: Any, folder: Path, tmp_path: Path
-) -> None:
-    file = tmp_path / "result.json"
-    overrides = [Parameter("path", value=str(folder)), Parameter("file", value=str(file))]
-    node = PathEvaluatorNode(context=context, parameter_overrides=overrides)
-    lines: list[str] = []
-    node.get_logger().warning = lambda text, **_: lines.append(text)
+def test_the_evaluator_starts_over_at_a_reset_and_says_when_there_was_no_drive(evaluated: Evaluated) -> None:
+    node = evaluated.fed.node
     with pytest.raises(
         PathFollowingError, match=r"no drive was evaluated, .*result\.json is not written: path/state was never following"
     ):
         node.stop()
-    node._on_state(String(data="following"))
+    evaluated.policy_is("following")
     with pytest.raises(PathFollowingError, match=r"is not written: no pose came from ground_truth/odom"):
         node.stop()
     for seconds, x in [(10.0, 0.0), (11.0, 3.0), (0.0, 0.0), (1.0, 0.4), (2.0, 0.8)]:
-        msg = Odometry()
-        msg.header.stamp = conversions.time_msg(round(seconds * NS))
-        msg.pose.pose.position.x, msg.pose.pose.orientation.w = x, 1.0
-        node._on_truth(msg)
-    assert lines == ["stamps have gone back: evaluating anew; the drive before is dropped"]
+        evaluated.robot_is_at(seconds, x)
+    assert evaluated.fed.lines == ["stamps have gone back: evaluating anew; the drive before is dropped"]
     node.stop()
-    result = json.loads(file.read_text())
-    assert result["travelled"] == pytest.approx(0.8) and result["states"] == [[0.0, "following"]]
-    node.destroy_node()
+    assert evaluated.result["travelled"] == pytest.approx(0.8) and evaluated.result["states"] == [[0.0, "following"]]
 
 
 @pytest.mark.parametrize(
@@ -928,10 +937,9 @@ def test_the_evaluator_starts_over_at_a_reset_and_says_when_there_was_no_drive(
         "std_msgs/msg/String",
     ],
 )
-def test_a_message_type_without_collision_information_is_refused(context: Any, folder: Path, name: str) -> None:
-    overrides = [Parameter("path", value=str(folder)), Parameter("collision_type", value=name)]
+def test_a_message_type_without_collision_information_is_refused(feed: Feed, folder: Path, name: str) -> None:
     with pytest.raises(SettingError, match="collision_type is"):
-        PathEvaluatorNode(context=context, parameter_overrides=overrides)
+        feed(PathEvaluatorNode, path=str(folder), collision_type=name)
 
 
 RED_AT = {"bayer_rggb8": (0, 0), "bayer_bggr8": (1, 1), "bayer_gbrg8": (1, 0), "bayer_grbg8": (0, 1)}
@@ -998,36 +1006,29 @@ def test_the_yaw_of_a_quaternion_does_not_depend_on_its_norm() -> None:
     assert conversions.pose_from(msg) is None
 
 
-def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_is_used(
-    context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    driven = Driven(context, folder)
-    lines: list[str] = []
-    monkeypatch.setattr(driven.node.get_logger(), "error", lambda text, **_: lines.append(text))
+def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_is_used(feed: Feed, folder: Path) -> None:
+    driven = Driven(feed, folder)
     for msg in (Image(encoding="rgb8"), Image(height=2, width=2, encoding="jpeg2000", step=2, data=bytes(4))):
-        driven.node._input._on_image("front", "camera/image_raw", msg)
-    assert [line.partition(",")[0] for line in lines] == [
+        driven.fed.receive("camera/image_raw", msg)
+    assert [line.partition(",")[0] for line in driven.lines] == [
         "camera/image_raw: an image of 0x0 rgb8 pixels has 0 bytes in rows of 0",
         "camera/image_raw: an image has the encoding 'jpeg2000'",
     ]
     driven.begin()
-    assert driven.node._state == "following"
-    driven.node.destroy_node()
+    assert driven.state == "following"
 
 
-def test_covered_images_are_black_with_their_stamps_and_late_ones_wait(context: Any) -> None:
-    overrides = [Parameter(name, value=value) for name, value in {"cover_after": 0.0, "cover": 0.1, "delay": 0.1}.items()]
-    node = CameraFaultsNode(context=context, parameter_overrides=overrides)
-    sent: list[Any] = []
-    node._images.publish = sent.append
-    node._on_command(Twist())  # a stop begins nothing
-    node._faults.move(2 * NS)
+def test_covered_images_are_black_with_their_stamps_and_late_ones_wait(feed: Feed) -> None:
+    fed = feed(CameraFaultsNode, cover_after=0.0, cover=0.1, delay=0.1)
+    fed.now_ns = NS
+    fed.receive("cmd_vel", Twist())  # a stop begins nothing
+    fed.now_ns = 2 * NS
+    fed.receive("cmd_vel", Twist(linear=Vector3(x=0.2)))
     for k, value in enumerate((10, 20, 30, 40)):
         msg = Image(height=1, width=1, encoding="rgb8", step=3, data=bytes([value] * 3))
         msg.header.stamp = conversions.time_msg(2 * NS + (k - 1) * NS // 10)
-        node._on_image(msg)
+        fed.receive("camera/image_raw", msg)
     # Each goes out with the next one: the second, stamped 2.0 s, is covered; the last still waits.
-    assert [(conversions.stamp_ns(msg.header.stamp) / NS, bytes(msg.data)) for msg in sent] == [
+    assert [(conversions.stamp_ns(msg.header.stamp) / NS, bytes(msg.data)) for msg in fed.sent("faulty/image_raw")] == [
         (1.9, bytes([10] * 3)), (2.0, bytes(3)), (2.1, bytes([30] * 3)),
     ]  # fmt: skip
-    node.destroy_node()

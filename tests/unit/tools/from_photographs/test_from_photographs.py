@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -62,6 +64,16 @@ def made(job: PhotographImport) -> dict[str, bool]:
     stages = {}
     job.run(lambda number: nullcontext(lambda part: None), lambda stage: stages.update({stage.name: stage.reused}))
     return stages
+
+
+def run_stage(job: PhotographImport, name: str) -> Sequence[str]:
+    """Runs one stage of an import; returns its report."""
+    (found,) = (each for each in job.stages() if each.name == name)
+    return found.run(lambda part: None)
+
+
+def record(job: PhotographImport, name: str) -> Any:
+    return json.loads((job.output / f"import/{name}.json").read_text())
 
 
 @pytest.fixture
@@ -233,16 +245,16 @@ def test_depth_is_fused_without_a_mesh(tmp_path, fused):
     job = opened(write_rgbd(tmp_path / "phone"), tmp_path / "out", settings=replace(SETTINGS, depth_max=3.0))
     assert job.inputs.lines()[1] == "no mesh: it will be fused from depth"
     assert [stage.name for stage in job.stages()][1] == "fuse"
-    job._fuse(lambda part: None)
+    run_stage(job, "fuse")
     ((rgbd, settings, depth_only),) = fused
     assert depth_only == [] and (len(rgbd), settings.depth_max, settings.snap) == (COUNT, 3.0, 0.0)
-    assert len(job._read_mesh("import/fused.ply").triangles) == len(room_mesh().triangles)
+    assert len(load_mesh(job.output / "import/fused.ply", [job.output]).merged()[1]) == len(room_mesh().triangles)
 
 
 @pytest.mark.parametrize("write", [write_rgbd, write_polycam])
 def test_the_depth_of_held_out_photographs_is_fused_without_their_colors(tmp_path, fused, write):
     job = opened(write(tmp_path / "phone"), tmp_path / "out", settings=replace(SETTINGS, hold_out=5))
-    assert job._fuse(lambda part: None)[0].endswith(f"from {COUNT} depth images, 3 of them without their colours")
+    assert run_stage(job, "fuse")[0].endswith(f"from {COUNT} depth images, 3 of them without their colours")
     ((rgbd, _, depth_only),) = fused
     assert (len(rgbd), depth_only) == (COUNT, [0, 5, 10])
 
@@ -251,7 +263,7 @@ def test_the_depth_of_held_out_photographs_is_fused_without_their_colors(tmp_pat
 def test_held_out_photographs_are_not_fused_with_hold_out_depth(tmp_path, fused, write):
     settings = replace(SETTINGS, hold_out=5, hold_out_depth=True)
     job = opened(write(tmp_path / "phone"), tmp_path / "out", settings=settings)
-    assert job._fuse(lambda part: None)[0].endswith("from 9 depth images")
+    assert run_stage(job, "fuse")[0].endswith("from 9 depth images")
     ((rgbd, _, depth_only),) = fused
     assert depth_only == []
     others = [1, 2, 3, 4, 6, 7, 8, 9, 11]
@@ -276,14 +288,12 @@ def test_depth_is_fused_in_the_pose_convention_in_which_depth_images_agree(tmp_p
     right = open_photographs(folder).poses
     write_trajectory_log(folder / "trajectory.log", right @ np.diag([1.0, -1.0, -1.0, 1.0]))
     job = opened(folder, tmp_path / "out")
-    assert job._fuse(lambda part: None)[0].startswith(
-        "poses are read as opengl: camera-to-world, cameras look along -z with y up"
-    )
+    assert run_stage(job, "fuse")[0].startswith("poses are read as opengl: camera-to-world, cameras look along -z with y up")
     np.testing.assert_allclose(fused[0][0].poses, right, atol=1e-6)
     # Up is that of the cameras at these poses.
-    job._planes(lambda part: None)
-    job._level(lambda part: None)
-    np.testing.assert_allclose(job._T_level_scan()[2], [0, -1, 0, 1.2], atol=1e-3)
+    run_stage(job, "planes")
+    run_stage(job, "level")
+    np.testing.assert_allclose(np.array(record(job, "level")["T_level_scan"])[2], [0, -1, 0, 1.2], atol=1e-3)
 
 
 def test_raw_data_of_polycam_are_fused_at_the_size_of_their_depth(tmp_path):
@@ -303,10 +313,10 @@ def test_raw_data_of_polycam_are_fused_at_the_size_of_their_depth(tmp_path):
 def test_up_is_that_of_the_phone_however_it_was_held(tmp_path):
     job = opened(write_polycam(tmp_path / "phone"), tmp_path / "out", write_mesh(tmp_path / "room.ply", T_ARKIT_WORLD))
     (tmp_path / "out").mkdir()
-    job._load_mesh(lambda part: None)
-    job._planes(lambda part: None)
-    assert job._level(lambda part: None) == ["turned by 90.00 degrees: z is up and the floor is at z = 0"]
-    np.testing.assert_allclose((job._T_level_scan() @ T_ARKIT_WORLD)[2], [0, 0, 1, 0], atol=1e-3)
+    run_stage(job, "mesh")
+    run_stage(job, "planes")
+    assert run_stage(job, "level") == ["turned by 90.00 degrees: z is up and the floor is at z = 0"]
+    np.testing.assert_allclose((np.array(record(job, "level")["T_level_scan"]) @ T_ARKIT_WORLD)[2], [0, 0, 1, 0], atol=1e-3)
 
 
 def test_frames_of_different_cameras_are_remapped_to_common_intrinsics(tmp_path):
@@ -343,10 +353,10 @@ def test_a_mesh_with_other_axes_than_the_poses_is_rotated(tmp_path):
     write_mesh(folder / "mesh.ply", to_y_up)
     job = opened(folder, tmp_path / "out")
     (tmp_path / "out").mkdir()
-    (text,) = job._load_mesh(lambda part: None)
+    (text,) = run_stage(job, "mesh")
     assert "turned from y up to z up" in text
-    fused = job._read_mesh("import/fused.ply")
-    np.testing.assert_allclose(np.ptp(fused.vertices, axis=0), [4.0, 3.0, 2.4], atol=1e-5)
+    vertices, _ = load_mesh(job.output / "import/fused.ply", [job.output]).merged()
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), [4.0, 3.0, 2.4], atol=1e-5)
 
 
 @pytest.mark.parametrize("convention", ["auto", "opencv"])
@@ -360,12 +370,12 @@ def test_poses_in_another_convention_are_converted_beside_a_mesh(tmp_path, conve
     file.write_text(json.dumps(values))
     job = replace(opened(folder, tmp_path / "out"), pose_convention=convention)
     (tmp_path / "out").mkdir()
-    lines = job._load_mesh(lambda part: None)
-    np.testing.assert_allclose(job._read("fused")["T_scan_camera"], room_poses(), atol=1e-9)
+    lines = run_stage(job, "mesh")
+    np.testing.assert_allclose(record(job, "fused")["T_scan_camera"], room_poses(), atol=1e-9)
     assert (convention == "opencv") == (len(lines) == 1)
     assert convention == "opencv" or lines[1].startswith("poses are read as opencv: ")
     with pytest.raises(ScanError, match=r"agree if poses are read as opencv .* give --pose-convention opencv, or auto"):
-        replace(job, pose_convention="as-read")._load_mesh(lambda part: None)
+        run_stage(replace(job, pose_convention="as-read"), "mesh")
 
 
 def test_a_mesh_that_is_shown_in_another_convention_only_is_not_refused(tmp_path):
