@@ -23,11 +23,13 @@ from gibson_sim.writing import cannot_write, check_writable, replacing, size_tex
 def largest_file(size: int) -> Iterator[None]:
     """Makes the system refuse writes that extend a file, as a full disk does."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    writes_no_bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # it would be cut off by the limit, too
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        sys.dont_write_bytecode = writes_no_bytecode
 
 
 def test_failed_write_keeps_the_existing_file(tmp_path: Path) -> None:

@@ -160,8 +160,8 @@ def test_full_disk_ends_a_video_in_one_line(write_images: Callable[..., Path], t
     whole = write_video(folder, tmp_path / "whole.mp4").stat().st_size
     assert whole > limit
     (tmp_path / "out").mkdir()
-    # In a separate process: FFmpeg crashed with SIGSEGV when it could not write the header.
-    command = [sys.executable, "-m", "gibson_sim.cli.main", "bag", "video", str(folder), str(tmp_path / "out/a.mp4")]
+    # In a separate process: FFmpeg crashed with SIGSEGV when it could not write the header. -B: byte code would be cut off by the limit, too.
+    command = [sys.executable, "-B", "-m", "gibson_sim.cli.main", "bag", "video", str(folder), str(tmp_path / "out/a.mp4")]
     done = subprocess.run(
         command,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
