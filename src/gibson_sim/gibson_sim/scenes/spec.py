@@ -106,7 +106,7 @@ class LightSpec:
     """Absolute path of an equirectangular image of the surroundings (.hdr, PNG or JPEG); empty = none. Its middle column lies in
     direction +x of the world, and the columns left of it towards +y."""
     environment_strength: float = 1.0
-    """Factor on the light of the environment, linear."""
+    """Factor on the light of the environment and on light maps, linear."""
     environment_yaw: float = 0.0
     """Rotation of the environment about the world's z axis, counter-clockwise, radians."""
     environment_visible: bool = True

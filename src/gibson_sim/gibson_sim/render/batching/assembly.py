@@ -15,14 +15,15 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.formats.mesh import MATTE_ROUGHNESS, TextureSource
 from gibson_sim.render.batching.material_table import MaterialTable
 from gibson_sim.render.batching.scene_geometry import (
-    COLORED_VERTEX,
     PLACEMENT,
     VERTEX,
     AlphaMode,
     Batch,
+    LightMap,
     MapSet,
     Progress,
     SceneGeometry,
+    joined_dtype,
     settings,
     with_dtype,
 )
@@ -55,8 +56,8 @@ class Submesh:
         self.count += len(vertices)
 
 
-SubmeshKey = tuple[bool, int, int, AlphaMode, bool, bool, bool, int]
-"""Moving, texture, maps, alpha mode, unlit, colored, closed, link. Submeshes are sorted by it, so those of one batch are consecutive. It
+SubmeshKey = tuple[bool, int, int, int, AlphaMode, bool, bool, bool, int]
+"""Moving, texture, maps, light map, alpha mode, unlit, colored, closed, link. Submeshes are sorted by it, so those of one batch are consecutive. It
 does not depend on appearances: these must change neither levels of detail nor the drawing order, and thus neither depth, labels nor
 normals."""
 
@@ -67,9 +68,16 @@ def _colors_of(vertices: NDArray[np.void], textured: bool) -> F32:
     return np.asarray(packed[:, :3].astype(np.float32) / np.float32(65535.0), dtype=np.float32)
 
 
+def _light_uvs_of(vertices: NDArray[np.void]) -> F32 | None:
+    """Returns coordinates in the light map, (V, 2), 0 to 1, or None if the vertices have none."""
+    if "light_uv" not in (vertices.dtype.names or ()):
+        return None
+    return np.asarray(vertices["light_uv"].astype(np.float32) / np.float32(65535.0), dtype=np.float32)
+
+
 def _joined_vertices(arrays: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
-    """Returns all vertices as one array, with colours if any of them have one."""
-    dtype = COLORED_VERTEX if any(array.dtype == COLORED_VERTEX for array in arrays) else VERTEX
+    """Returns all vertices as one array, with all fields that any of them have."""
+    dtype = joined_dtype(array.dtype for array in arrays)
     return np.concatenate([with_dtype(array, dtype) for array in arrays]) if arrays else np.zeros(0, dtype=VERTEX)
 
 
@@ -106,6 +114,7 @@ class GeometryAssembler:
         table: MaterialTable,
         textures: tuple[TextureSource, ...],
         map_sets: tuple[MapSet, ...],
+        light_maps: tuple[LightMap, ...],
         closed: tuple[NDArray[np.float64], I64],
         files: tuple[Path, ...],
         warnings: tuple[str, ...],
@@ -117,6 +126,7 @@ class GeometryAssembler:
             table: materials referenced by the vertices.
             textures: textures, in the order of their numbers in the keys of the submeshes.
             map_sets: material maps, in the same order as the keys' numbers.
+            light_maps: light maps, likewise.
             closed: ``closed_box`` and ``closed_link``.
             files: files read so far.
             warnings: warnings so far.
@@ -139,18 +149,20 @@ class GeometryAssembler:
             self._progress("levels of detail", self._triangles / max(total, 1))
             first = self._cluster_count
             self._add(key, submeshes[key], shared.get(key))
-            moving, texture, maps, alpha_mode, unlit, colored, is_closed, _ = key
+            moving, texture, maps, light, alpha_mode, unlit, colored, is_closed, _ = key
             rows = np.unique(np.concatenate([v["material"] for v in submeshes[key].vertices]))
             material = int(rows[0]) if len(rows) == 1 else -1
             shiny = not matte[rows].all() or (maps >= 0 and map_sets[maps][0] is not None)
             glossy, has_appearance = not unlit and shiny, bool(with_appearance[rows].any())
-            if batches and settings(batches[-1]) == (moving, texture, maps, alpha_mode, unlit, colored, is_closed):
+            if batches and settings(batches[-1]) == key[:-1]:
                 last = batches.pop()
                 first, material = last.first_cluster, material if material == last.material else -1
                 glossy, has_appearance = glossy or last.glossy, has_appearance or last.has_appearance
             span = (first, self._cluster_count)
             batches.append(
-                Batch(texture, alpha_mode, maps, unlit, glossy, has_appearance, colored, moving, is_closed, material, *span)
+                Batch(
+                    texture, alpha_mode, maps, light, unlit, glossy, has_appearance, colored, moving, is_closed, material, *span
+                )
             )
         self._progress("levels of detail", 1.0)
         if self._index_count >= 2**31:
@@ -165,6 +177,7 @@ class GeometryAssembler:
             appearances=table.appearances(),
             patterns=table.patterns,
             map_sets=map_sets,
+            light_maps=light_maps,
             batches=tuple(batches),
             textures=textures,
             cluster_first=_joined(c["first"], np.uint32),
@@ -187,8 +200,8 @@ class GeometryAssembler:
 
     def _add(self, key: SubmeshKey, submesh: Submesh, fixed: NDArray[np.bool_] | None) -> None:
         """Appends the clusters of a submesh, all levels; reuses the triangles of an earlier one that differs only in label, material or link."""
-        _, texture, maps, alpha_mode, _, colored, closed, link = key
-        vertices = np.concatenate(submesh.vertices)
+        _, texture, maps, _, alpha_mode, _, colored, closed, link = key
+        vertices = _joined_vertices(submesh.vertices)
         placement = np.zeros(1, dtype=PLACEMENT)
         if link:
             placement["link"] = link
@@ -204,7 +217,7 @@ class GeometryAssembler:
             size = min(max(len(triangles) // BLEND_CLUSTERS, 1), size)
         slow = bool(link) and len(triangles) > MOVING_DETAIL_UPTO
         levels_of_detail, textured = self._levels_of_detail and alpha_mode != "blend" and not slow, max(texture, maps) >= 0
-        digest = hashlib.sha256(repr((size, levels_of_detail, textured, colored)).encode())
+        digest = hashlib.sha256(repr((size, levels_of_detail, textured, colored, vertices.dtype.names)).encode())
         for array in (vertices, triangles, *(() if fixed is None else (fixed,))):
             digest.update(np.ascontiguousarray(array).view(np.uint8).data)
         shape = self._shapes.get(digest.digest())
@@ -249,6 +262,7 @@ class GeometryAssembler:
             fixed,
             levels_of_detail,
             _colors_of(vertices, textured) if colored else None,
+            _light_uvs_of(vertices),
         )
         starts, ends = clusters.starts, clusters.ends
         corners = vertices["position"][clusters.triangles]

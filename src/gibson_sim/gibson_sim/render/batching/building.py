@@ -17,14 +17,15 @@ from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
 from gibson_sim.render.batching.assembly import GeometryAssembler, Submesh, SubmeshKey
 from gibson_sim.render.batching.material_table import MaterialTable, opaque_alpha
 from gibson_sim.render.batching.scene_geometry import (
-    COLORED_VERTEX,
     MAX_LABEL,
     VERTEX,
     AlphaMode,
+    LightMap,
     Loader,
     MapSet,
     Progress,
     SceneGeometry,
+    vertex_dtype,
     with_dtype,
 )
 from gibson_sim.render.culling.closed_surfaces import ClosedSurfaces, find_closed_surfaces, transformed_boxes
@@ -64,6 +65,7 @@ def build_geometry(
     submeshes: dict[SubmeshKey, Submesh] = {}
     textures: dict[int, tuple[int, TextureSource]] = {}
     map_sets: dict[tuple[int, ...], tuple[int, MapSet]] = {}
+    light_maps: dict[tuple[int, float], tuple[int, LightMap]] = {}
     files: dict[Path, None] = {}
     warnings: list[str] = []
     known_closed: dict[tuple[Shape, tuple[bool, ...]], ClosedSurfaces] = {}
@@ -101,18 +103,26 @@ def build_geometry(
             if part.uvs is not None and material.has_maps:
                 map_set = _map_set(material)
                 maps = map_sets.setdefault(tuple(map(id, map_set)), (len(map_sets), map_set))[0]
+            light = -1
+            if part.light_uvs is not None and material.light_map is not None:
+                light_map = (material.light_map, material.light_intensity)
+                light = light_maps.setdefault((id(material.light_map), material.light_intensity), (len(light_maps), light_map))[0]
             row = table.row(material if part.uvs is not None else replace(material, texture=None), visual.appearance)
             vertices = _vertices(part, row, T_link_visual, label)
             colored = material.colored and part.colors is not None
-            if colored and max(number, maps) >= 0:
-                vertices = with_dtype(vertices, COLORED_VERTEX)
+            colored_beside_uvs = colored and max(number, maps) >= 0
+            extra = [name for name, on in (("color", colored_beside_uvs), ("light_uv", light >= 0)) if on]
+            vertices = with_dtype(vertices, vertex_dtype(extra))
+            if light >= 0 and part.light_uvs is not None:
+                vertices["light_uv"] = np.rint(np.clip(part.light_uvs, 0.0, 1.0) * 65535.0)
+            if colored_beside_uvs:
                 vertices["color"] = _linear_colors(part.colors)
             elif colored:
                 vertices["uv"] = _linear_colors(part.colors).view("<f4")
             for closed in (False, True):
                 triangles = part.triangles[is_closed == closed]
                 if len(triangles):
-                    key = (link > 0, number, maps, alpha_mode, material.unlit, colored, closed, link)
+                    key = (link > 0, number, maps, light, alpha_mode, material.unlit, colored, closed, link)
                     submeshes.setdefault(key, Submesh()).add(*_without_unused_vertices(vertices, triangles))
     progress("reading meshes", 1.0)
     if len(table.rows) > MAX_LABEL:
@@ -122,6 +132,7 @@ def build_geometry(
         table,
         tuple(t for _, t in textures.values()),
         tuple(m for _, m in map_sets.values()),
+        tuple(m for _, m in light_maps.values()),
         (np.concatenate(closed_boxes), np.concatenate(closed_links)),
         tuple(files),
         tuple(warnings),

@@ -17,7 +17,7 @@ from gibson_sim.description.shapes import VisualSpec
 from gibson_sim.errors import ConfigError
 from gibson_sim.render.batching.building import build_geometry
 from gibson_sim.render.batching.prototypes import BODY, BodyPrototype, GeometryMerger, LabelMap, PlacedBody, SceneNumbers
-from gibson_sim.render.batching.scene_geometry import MAX_LABEL, Loader, SceneGeometry, with_dtype
+from gibson_sim.render.batching.scene_geometry import MAX_LABEL, Loader, SceneGeometry, joined_dtype, with_dtype
 from gibson_sim.scenes.spec import DrawnScene
 
 I64 = NDArray[np.int64]
@@ -188,10 +188,11 @@ class _Rows:
         self._rows[at : at + len(rows)] = self._fitted(rows)
 
     def _fitted(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """Returns rows in the type of the array, which becomes that of the rows if these are vertices with colours."""
-        if rows.dtype.itemsize > self._rows.dtype.itemsize:
-            self._rows = with_dtype(self._rows, rows.dtype)
-        return with_dtype(rows, self._rows.dtype) if rows.dtype.names else rows
+        """Returns rows in the type of the array, which gets the fields that vertices among the rows have in addition."""
+        if not rows.dtype.names or rows.dtype == self._rows.dtype:
+            return rows
+        self._rows = with_dtype(self._rows, joined_dtype((self._rows.dtype, rows.dtype)))
+        return with_dtype(rows, self._rows.dtype)
 
     def first(self, count: int) -> NDArray[Any]:
         return self._rows[:count]

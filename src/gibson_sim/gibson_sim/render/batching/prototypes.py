@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.render.batching.scene_geometry import APPEARANCE, PLAIN_APPEARANCE, Batch, MapSet, SceneGeometry, settings
+from gibson_sim.render.batching.scene_geometry import (
+    APPEARANCE,
+    PLAIN_APPEARANCE,
+    Batch,
+    LightMap,
+    MapSet,
+    SceneGeometry,
+    settings,
+)
 from gibson_sim.scenes.spec import DrawnScene
 
 I64 = NDArray[np.int64]
@@ -118,6 +126,7 @@ class MaterialNumbers:
     first_material: int
     textures: tuple[int, ...]
     map_sets: tuple[int, ...]
+    light_maps: tuple[int, ...]
 
 
 class GeometryMerger:
@@ -131,6 +140,9 @@ class GeometryMerger:
         self._map_sets: dict[tuple[int, ...], tuple[int, MapSet]] = {}
         for maps in base.map_sets:
             self._map_set(maps)
+        self._light_maps: dict[tuple[int, float], tuple[int, LightMap]] = {}
+        for light_map in base.light_maps:
+            self._light_map(light_map)
         self._placements: list[NDArray[np.void]] = []
         self._rows: dict[str, list[NDArray[Any]]] = {name: [] for name in (*_CLUSTER, *_GROUP, *_CLOSED)}
         self._batches: list[Batch] = []
@@ -171,10 +183,14 @@ class GeometryMerger:
         self._sources.append(geometry)
         self._materials += len(geometry.materials)
         textures = tuple(self._textures.setdefault(id(t), (len(self._textures), t))[0] for t in geometry.textures)
-        return MaterialNumbers(first_material, textures, tuple(self._map_set(maps) for maps in geometry.map_sets))
+        map_sets, light_maps = map(self._map_set, geometry.map_sets), map(self._light_map, geometry.light_maps)
+        return MaterialNumbers(first_material, textures, tuple(map_sets), tuple(light_maps))
 
     def _map_set(self, maps: MapSet) -> int:
         return self._map_sets.setdefault(tuple(map(id, maps)), (len(self._map_sets), maps))[0]
+
+    def _light_map(self, light_map: LightMap) -> int:
+        return self._light_maps.setdefault((id(light_map[0]), light_map[1]), (len(self._light_maps), light_map))[0]
 
     def add_bodies(
         self, prototype: BodyPrototype, numbers: MaterialNumbers, bodies: Sequence[PlacedBody], first_index: int
@@ -214,6 +230,7 @@ class GeometryMerger:
             batch,
             texture=-1 if batch.texture < 0 else numbers.textures[batch.texture],
             maps=-1 if batch.maps < 0 else numbers.map_sets[batch.maps],
+            light_map=-1 if batch.light_map < 0 else numbers.light_maps[batch.light_map],
             material=-1 if batch.material < 0 else batch.material + numbers.first_material,
         )
 
@@ -256,6 +273,7 @@ class GeometryMerger:
             appearances=appearances,
             patterns=patterns,
             map_sets=tuple(maps for _, maps in self._map_sets.values()),
+            light_maps=tuple(light_map for _, light_map in self._light_maps.values()),
             batches=tuple(self._batches),
             textures=tuple(source for _, source in self._textures.values()),
             placements=np.concatenate(self._placements),

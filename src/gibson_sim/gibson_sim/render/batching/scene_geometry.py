@@ -7,16 +7,16 @@ Static triangles are in the world frame (link number 0), all others in the frame
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.description.shapes import Shape
-from gibson_sim.formats.mesh import Mesh, TextureSource
+from gibson_sim.formats.mesh import LightMapSource, Mesh, TextureSource
 
 Loader = Callable[[Shape], Mesh]
 Progress = Callable[[str, float], None]
@@ -27,9 +27,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<i2", 3), ("material", "<u2"), ("uv", "<f4", 2), ("label", "<u2", 2)])
-COLORED_VERTEX = np.dtype([*VERTEX.descr, ("color", "<u2", 4)])
-"""``VERTEX`` with linear red, green, blue and alpha, for scenes where vertex colours multiply textures; without textures the colours are in
-``uv``."""
+EXTRA_FIELDS: tuple[tuple[Any, ...], ...] = (("color", "<u2", 4), ("light_uv", "<u2", 2))
+"""Fields of vertices that few scenes need, in this order after those of ``VERTEX``. ``color``: linear red, green, blue and alpha, where vertex
+colours multiply textures; without textures the colours are in ``uv``. ``light_uv``: coordinates in the light map, 65535 = 1."""
 PLACEMENT = np.dtype([("link", "<u4"), ("label", "<u2", 2), ("material", "<u4")])
 """An instance of shared triangles: its link, and offsets that are added to the label and material numbers of the vertices."""
 MATERIAL = np.dtype([("color", "<f4", 4), ("surface", "<f4", 4), ("emission", "<f4", 4), ("maps", "<f4", 4)])
@@ -41,6 +41,8 @@ PLAIN_APPEARANCE = (*np.eye(3, 4).ravel().tolist(), 0.0, 0.0, 0.0, -1.0, 1.0, 1.
 """The identity appearance; the fourth component of ``first`` is the layer of the pattern, -1 = none."""
 MapSet = tuple[TextureSource | None, TextureSource | None, TextureSource | None, TextureSource | None]
 """Material maps: metallic-roughness, normals, occlusion, emission."""
+LightMap = tuple[LightMapSource, float]
+"""A light map and its intensity, ``Material.light_intensity``."""
 MAX_LABEL = 2**16 - 1
 """Largest number of a semantic class, an instance or a material."""
 
@@ -54,6 +56,8 @@ class Batch:
     alpha_mode: AlphaMode
     maps: int
     """Index in ``SceneGeometry.map_sets``; -1 = none."""
+    light_map: int
+    """Index in ``SceneGeometry.light_maps``; -1 = none."""
     unlit: bool
     """Whether its materials are unlit."""
     glossy: bool
@@ -77,7 +81,7 @@ class SceneGeometry:
     """All triangles of a scene."""
 
     vertices: NDArray[np.void]
-    """(V,) of ``VERTEX``, or of ``COLORED_VERTEX`` if any batch has colours and textures."""
+    """(V,) of ``VERTEX``, with those of ``EXTRA_FIELDS`` that any batch needs."""
     indices: NDArray[np.uint32]
     """(3 F,), rows in ``vertices``."""
     materials: NDArray[np.void]
@@ -87,6 +91,7 @@ class SceneGeometry:
     patterns: NDArray[np.uint8]
     """(L, S, S, 3), sRGB: layers referenced by ``appearances``."""
     map_sets: tuple[MapSet, ...]
+    light_maps: tuple[LightMap, ...]
     batches: tuple[Batch, ...]
     textures: tuple[TextureSource, ...]
     cluster_first: NDArray[np.uint32]
@@ -122,16 +127,27 @@ class SceneGeometry:
     warnings: tuple[str, ...]
 
 
+def vertex_dtype(extra: Iterable[str]) -> np.dtype[np.void]:
+    """Returns ``VERTEX`` with the named fields of ``EXTRA_FIELDS``."""
+    names = set(extra)
+    return np.dtype([*VERTEX.descr, *(f for f in EXTRA_FIELDS if f[0] in names)])
+
+
+def joined_dtype(dtypes: Iterable[np.dtype[np.void]]) -> np.dtype[np.void]:
+    """Returns the type of vertices with all fields that any of these types has."""
+    return vertex_dtype(name for dtype in dtypes for name in dtype.names or ())
+
+
 def with_dtype(vertices: NDArray[np.void], dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Returns vertices as ``VERTEX`` or ``COLORED_VERTEX``; a colour that they do not have is 0, and is not read."""
+    """Returns vertices with more fields of ``EXTRA_FIELDS``; new fields are 0, and are not read."""
     if vertices.dtype == dtype:
         return vertices
     out = np.zeros(len(vertices), dtype=dtype)
-    for name in VERTEX.names or ():
+    for name in vertices.dtype.names or ():
         out[name] = vertices[name]
     return out
 
 
-def settings(batch: Batch) -> tuple[bool, int, int, AlphaMode, bool, bool, bool]:
+def settings(batch: Batch) -> tuple[bool, int, int, int, AlphaMode, bool, bool, bool]:
     """Returns the settings of a batch; batches with equal settings may be merged."""
-    return batch.moving, batch.texture, batch.maps, batch.alpha_mode, batch.unlit, batch.colored, batch.closed
+    return batch.moving, batch.texture, batch.maps, batch.light_map, batch.alpha_mode, batch.unlit, batch.colored, batch.closed

@@ -14,6 +14,7 @@ from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.culling.draw_plan import DEPTH_KINDS, VIEW, DrawPlan, DrawPlanner, MultiDraw, PinholePicture, draw_table
 from gibson_sim.render.culling.occlusion import Occluders
 from gibson_sim.render.culling.visibility import Visibility
+from gibson_sim.render.draw.light_maps import LightMaps
 from gibson_sim.render.draw.lighting import Lighting
 from gibson_sim.render.draw.material_maps import MaterialMaps
 from gibson_sim.render.draw.programs import Programs
@@ -77,6 +78,7 @@ class GlScene:
         self._links, self._links_before, self._views, self._draw_buffer = self._buffers
         self._lighting: Lighting | None = None
         self._material_maps: MaterialMaps | None = None
+        self._light_maps: LightMaps | None = None
         self._shadow: SunShadow | None = None
         self._glossy = False
         self.warnings: tuple[str, ...] = ()
@@ -118,6 +120,10 @@ class GlScene:
             if self._material_maps is not None:
                 self._material_maps.close()
             self._material_maps = MaterialMaps(self._context, b)
+        if old is None or old.light_maps != b.light_maps:
+            if self._light_maps is not None:
+                self._light_maps.close()
+            self._light_maps = LightMaps(self._context, b.light_maps, self._light.environment_strength)
         glossy = any(batch.glossy for batch in b.batches)
         if self._lighting is None or (glossy and not self._glossy):
             if self._lighting is not None:
@@ -131,7 +137,7 @@ class GlScene:
     @property
     def texture_bytes(self) -> int:
         """GPU memory of the textures of materials, bytes."""
-        return self._memory.texture_bytes
+        return self._memory.texture_bytes + (self._light_maps.bytes if self._light_maps is not None else 0)
 
     @property
     def drawn_triangles(self) -> int:
@@ -356,6 +362,8 @@ class GlScene:
             self._gl.glBindTextureUnit(0, self._memory.textures[batch.texture])
         if batch.maps >= 0 and self._material_maps is not None:
             self._material_maps.bind_maps(batch.maps)
+        if batch.light_map >= 0 and color and self._light_maps is not None:
+            self._light_maps.bind(batch.light_map)
         self._gl.glUseProgram(program.number)
 
     def _draw_sky(self, features: tuple[Feature, ...]) -> None:
@@ -460,7 +468,7 @@ class GlScene:
     def close(self) -> None:
         """Frees all GPU resources; a second call does nothing."""
         buffers, self._buffers = self._buffers, []
-        for part in (self._lighting, self._material_maps, self._shadow, self._memory, self._programs):
+        for part in (self._lighting, self._material_maps, self._light_maps, self._shadow, self._memory, self._programs):
             if part is not None:
                 part.close()
         for buffer in buffers:

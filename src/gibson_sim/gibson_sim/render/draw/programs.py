@@ -81,14 +81,18 @@ class Programs:
             "MOVING": batch.moving, "ALPHA_TEST": has_holes, "UNLIT": not lights, "TEXTURED": batch.texture >= 0 and (has_holes or color),
             "MATERIALS": batch.material < 0,
             "WORLD_POSITION": lights or "FLOW" in features, "WORLD_NORMAL": lights or "NORMALS" in features,
+            "LIGHT_MAP": color and batch.light_map >= 0,
             "APPEARANCE": color and batch.has_appearance, "VERTEX_COLORS": (color or has_holes) and batch.colored,
             "COLORS_BESIDE_UVS": (color or has_holes) and batch.colored and max(batch.texture, batch.maps) >= 0,
         }  # fmt: skip
         lit: tuple[str, ...] = ()
         if lights:
             lit = (*self._light, *(("GLOSS",) if batch.glossy else ()), *(("MATERIAL_MAPS",) if batch.maps >= 0 else ()))
-        includes = ("view.glsl", *(("lighting.glsl",) if lights else ()), *(("appearances.glsl",) if flags["APPEARANCE"] else ()))
-        return self._program((*(name for name, on in flags.items() if on), *lit, *features), "scene.frag", includes)
+        includes = ["view.glsl"]
+        includes += ["lighting.glsl"] if lights else []
+        includes += ["appearances.glsl"] if flags["APPEARANCE"] else []
+        includes += ["tone.glsl"] if flags["LIGHT_MAP"] else []
+        return self._program((*(name for name, on in flags.items() if on), *lit, *features), "scene.frag", tuple(includes))
 
     def _program(self, defines: tuple[str, ...], fragment: str, includes: tuple[str, ...]) -> Program:
         key = (fragment, *defines)

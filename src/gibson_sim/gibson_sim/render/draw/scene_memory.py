@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import Filter, Sampling, TextureSource, Wrap
 from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
-from gibson_sim.render.batching.scene_geometry import COLORED_VERTEX, MATERIAL, PLACEMENT, VERTEX, SceneGeometry
+from gibson_sim.render.batching.scene_geometry import MATERIAL, PLACEMENT, VERTEX, SceneGeometry
 from gibson_sim.render.context import gl as GL
 
 Pixels = NDArray[np.uint8]
@@ -29,8 +29,8 @@ _VERTEX_ATTRIBUTES = (
     (4, 1, GL.UNSIGNED_INT, None, "label"),
     (8, 4, GL.UNSIGNED_SHORT, 1, "uv"),  # vertices with colours store them instead of texture coordinates
 )
-_COLOR = 9
-"""Location of ``color`` of ``COLORED_VERTEX``, which ``VERTEX`` does not have."""
+_EXTRA_ATTRIBUTES = {"color": (9, 4), "light_uv": (10, 2)}
+"""Location and number of components of the attributes of ``EXTRA_FIELDS``, normalised 16-bit integers."""
 _PLACEMENT_ATTRIBUTES = ((5, "link"), (6, "label"), (7, "material"))
 """Location and field of ``PLACEMENT`` of the per-instance attributes."""
 _WRAPS: dict[Wrap, int] = {"repeat": GL.REPEAT, "mirror": GL.MIRRORED_REPEAT, "clamp": GL.CLAMP_TO_EDGE}
@@ -63,7 +63,7 @@ class SceneMemory:
         self.textures: list[int] = []
         """OpenGL names, in the order of ``SceneGeometry.textures``."""
         self._arrays: list[int] = []
-        self._stride = VERTEX.itemsize
+        self._dtype = VERTEX
         self._vertices, self._indices, self._occluders, self._sorted, self._placements = (self._buffer() for _ in range(5))
         self.materials, self.appearances = self._buffer(), self._buffer()
         self.array = self._array(self._indices)
@@ -92,8 +92,8 @@ class SceneMemory:
             gl.glVertexArrayAttribBinding(array, location, 1)
             gl.glEnableVertexArrayAttrib(array, location)
         gl.glVertexArrayBindingDivisor(array, 1, 1)
-        gl.glVertexArrayAttribFormat(array, _COLOR, 4, GL.UNSIGNED_SHORT, 1, COLORED_VERTEX.fields["color"][1])  # type: ignore[index]
-        gl.glVertexArrayAttribBinding(array, _COLOR, 0)
+        for location, _ in _EXTRA_ATTRIBUTES.values():
+            gl.glVertexArrayAttribBinding(array, location, 0)
         gl.glVertexArrayVertexBuffer(array, 0, self._vertices, 0, VERTEX.itemsize)
         gl.glVertexArrayVertexBuffer(array, 1, self._placements, 0, PLACEMENT.itemsize)
         gl.glVertexArrayElementBuffer(array, indices)
@@ -107,7 +107,7 @@ class SceneMemory:
             same_vertices: number of its leading vertices that are already uploaded.
             same_indices: number of its leading indices that are already uploaded.
         """
-        if geometry.vertices.dtype.itemsize != self._stride:
+        if geometry.vertices.dtype != self._dtype:
             self._use_vertices_of(geometry.vertices.dtype)
             same_vertices = 0
         self._fill(self._vertices, geometry.vertices if len(geometry.vertices) else np.zeros(1, VERTEX), same_vertices)
@@ -119,12 +119,17 @@ class SceneMemory:
         self._load_textures(geometry.textures)
 
     def _use_vertices_of(self, dtype: np.dtype[np.void]) -> None:
-        """Makes the vertex arrays read vertices with or without colours."""
-        self._stride = dtype.itemsize
-        switch = self._gl.glEnableVertexArrayAttrib if dtype == COLORED_VERTEX else self._gl.glDisableVertexArrayAttrib
+        """Makes the vertex arrays read vertices with the fields of ``EXTRA_FIELDS`` that ``dtype`` has."""
+        gl, self._dtype = self._gl, dtype
         for array in self._arrays:
-            self._gl.glVertexArrayVertexBuffer(array, 0, self._vertices, 0, self._stride)
-            switch(array, _COLOR)
+            gl.glVertexArrayVertexBuffer(array, 0, self._vertices, 0, dtype.itemsize)
+            for name, (location, numbers) in _EXTRA_ATTRIBUTES.items():
+                if name in (dtype.names or ()):
+                    offset = dtype.fields[name][1]  # type: ignore[index]
+                    gl.glVertexArrayAttribFormat(array, location, numbers, GL.UNSIGNED_SHORT, 1, offset)
+                    gl.glEnableVertexArrayAttrib(array, location)
+                else:
+                    gl.glDisableVertexArrayAttrib(array, location)
 
     def load_occluders(self, indices: NDArray[np.uint32]) -> None:
         """Uploads the indices of the occluders."""

@@ -101,6 +101,7 @@ def build_clusters(
     fixed: NDArray[np.bool_] | None = None,
     levels_of_detail: bool = True,
     colors: F32 | None = None,
+    light_uvs: F32 | None = None,
 ) -> Clusters:
     """Returns clusters of at most ``size`` triangles.
 
@@ -113,13 +114,16 @@ def build_clusters(
         fixed: (V,), mask of vertices that are always locked; None = none.
         levels_of_detail: build coarser levels too.
         colors: (V, 3), linear, 0 to 1; None = the vertices have no colours.
+        light_uvs: (V, 2), in units of the light map's size; None = the vertices have no light map.
     """
     order, ends = split(positions[triangles].mean(axis=1, dtype=np.float64), size)
     out = _ClusterList()
     out.add(np.split(triangles[order], ends[:-1]), _boxes(positions, triangles[order], ends), -1, 0.0, 0)
     simplify = simplifier() if levels_of_detail and len(triangles) >= SMALLEST else None
     if simplify is not None:
-        _LevelBuilder(simplify, positions, normals, uvs, triangles, size, fixed, colors).build(out)
+        _LevelBuilder(
+            simplify, positions, normals, (uvs,) if light_uvs is None else (uvs, light_uvs), triangles, size, fixed, colors
+        ).build(out)
     return out.clusters()
 
 
@@ -167,7 +171,7 @@ class _LevelBuilder:
         simplify: Simplify,
         positions: F32,
         normals: F32,
-        uvs: F32,
+        uv_sets: tuple[F32, ...],
         triangles: I64,
         size: int,
         fixed: NDArray[np.bool_] | None,
@@ -177,12 +181,11 @@ class _LevelBuilder:
         self._size = size
         self._positions = np.ascontiguousarray(positions, dtype=np.float32)
         tints = () if colors is None else (colors,)
-        self._attributes = np.ascontiguousarray(np.hstack([normals, uvs, *tints]), dtype=np.float32)
+        self._attributes = np.ascontiguousarray(np.hstack([normals, *uv_sets, *tints]), dtype=np.float32)
         # Attribute errors have the unit of positions: the error of uvs is the distance that the texture slides over the surface.
+        slides = [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles) for uvs in uv_sets]
         self._weights = np.array(
-            [NORMAL_WEIGHT_M] * 3
-            + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2
-            + [COLOR_WEIGHT_M] * 3 * len(tints),
+            [NORMAL_WEIGHT_M] * 3 + [slide for slide in slides for _ in "uv"] + [COLOR_WEIGHT_M] * 3 * len(tints),
             dtype=np.float32,
         )
         # Vertices at the same position with different attributes move together.

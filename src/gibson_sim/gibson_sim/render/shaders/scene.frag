@@ -33,6 +33,10 @@ flat in vec4 v_maps;
 #ifdef TEXTURED
 uniform sampler2D u_texture;
 #endif
+#ifdef LIGHT_MAP
+in vec2 v_light_uv;
+layout(binding = 9) uniform sampler2D u_light_map;  // radiance of a white surface; one level
+#endif
 #ifdef ALPHA_TEST
 uniform bool u_translucent;  // draw the translucent pass instead of the opaque pass
 #endif
@@ -76,6 +80,9 @@ void main() {
 #endif
 #ifdef APPEARANCE
     color.rgb = with_appearance(color.rgb, appearances[v_material], v_local);
+#endif
+#ifdef LIGHT_MAP
+    color.rgb = tone(color.rgb * textureLod(u_light_map, v_light_uv, 0.0).rgb);
 #endif
 #ifdef WORLD_NORMAL
     // Scans are open and wound either way, so the visible side counts as the outside. It is determined by the winding, which matches the

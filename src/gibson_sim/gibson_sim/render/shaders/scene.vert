@@ -15,6 +15,10 @@ out vec4 v_color;
 out vec3 v_color;
 #endif
 #endif
+#ifdef LIGHT_MAP
+layout(location = 10) in vec2 in_light_uv;
+out vec2 v_light_uv;
+#endif
 #ifdef LABELS
 layout(location = 4) in uint in_label;  // semantic class in the lower 16 bits, instance in the upper 16 bits
 flat out uint v_label;
@@ -86,6 +90,9 @@ void main() {
     v_local = in_position;
 #endif
     v_uv = in_uv;
+#ifdef LIGHT_MAP
+    v_light_uv = in_light_uv;
+#endif
 #ifdef VERTEX_COLORS
 #ifdef ALPHA_TEST
     v_color = in_color;
