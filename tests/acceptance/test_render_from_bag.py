@@ -22,7 +22,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from gibson_sim.bags.export import export_bag  # noqa: E402
 from gibson_sim.bags.reader import BagReader, image_to_array  # noqa: E402
-from gibson_sim.bags.stamps import header_stamp_ns  # noqa: E402
+from gibson_sim.bags.stamps import time_from_msg  # noqa: E402
 from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402
 from gibson_sim.cli.command_line import run  # noqa: E402
 from gibson_sim.client_config import RenderBagConfig  # noqa: E402
@@ -139,7 +139,7 @@ def _expected(camera: CameraSpec, ticks: list[int]) -> list[Any]:
 def test_cameras_of_the_bag_are_rendered_at_the_recorded_ticks(drawn: tuple[Path, Path]) -> None:
     ticks = [2, 4, 6, 8, 10, 12]
     images = _messages(drawn[0], "/own/image_raw")
-    assert [header_stamp_ns(m.header.stamp) for m in images] == [STATES[tick - 1].stamp_ns for tick in ticks]
+    assert [time_from_msg(m.header.stamp) for m in images] == [STATES[tick - 1].stamp_ns for tick in ticks]
     for message, frame in zip(images, _expected(SCENES[1].cameras[0], ticks), strict=True):
         assert np.array_equal(image_to_array(message), frame.rgb)
 
@@ -152,8 +152,8 @@ def test_all_outputs_of_an_added_camera_equal_those_of_the_renderer(drawn: tuple
         topic = "/eye/image_raw" if output == "rgb" else f"/eye/{output}/image_raw"
         images = _messages(drawn[1], topic)
         infos = _messages(drawn[1], topic.replace("image_raw", "camera_info"))
-        stamps = [header_stamp_ns(m.header.stamp) for m in images]
-        assert stamps == [frame.stamp_ns for frame in frames] == [header_stamp_ns(m.header.stamp) for m in infos]
+        stamps = [time_from_msg(m.header.stamp) for m in images]
+        assert stamps == [frame.stamp_ns for frame in frames] == [time_from_msg(m.header.stamp) for m in infos]
         for message, frame in zip(images, frames, strict=True):
             assert np.array_equal(image_to_array(message), getattr(frame, output), equal_nan=output in ("position", "flow")), (
                 output
@@ -162,7 +162,7 @@ def test_all_outputs_of_an_added_camera_equal_those_of_the_renderer(drawn: tuple
 
 def test_new_bag_contains_the_states_and_all_other_topics(drive: Path, drawn: tuple[Path, Path]) -> None:
     recorded, new = _messages(drive, "/scene_state"), _messages(drawn[1], "/scene_state")
-    assert [header_stamp_ns(m.header.stamp) for m in new] == [header_stamp_ns(m.header.stamp) for m in recorded]
+    assert [time_from_msg(m.header.stamp) for m in new] == [time_from_msg(m.header.stamp) for m in recorded]
     assert all(np.abs(a.poses - b.poses).max() < 1e-6 for a, b in zip(recorded, new, strict=True))
     assert [list(m.due_cameras) for m in new] == [[0] if tick in (3, 6, 9, 12) else [] for tick in range(1, 13)]
     with BagReader(drive) as a, BagReader(drawn[1]) as b:
@@ -183,7 +183,7 @@ def test_the_new_bag_is_a_data_set(drawn: tuple[Path, Path], tmp_path: Path) -> 
 def test_a_part_of_the_run_contains_earlier_latched_messages(drive: Path, tmp_path: Path) -> None:
     job = RenderBagConfig(bag=str(drive), output=str(tmp_path / "part"), begin=0.05, end=0.12, outputs="depth")
     render_bag(job, RENDER)
-    assert [header_stamp_ns(m.header.stamp) for m in _messages(tmp_path / "part", "/own/depth/image_raw")] == [
+    assert [time_from_msg(m.header.stamp) for m in _messages(tmp_path / "part", "/own/depth/image_raw")] == [
         STATES[tick - 1].stamp_ns for tick in (4, 6)
     ]
     assert [m.revision for m in _messages(tmp_path / "part", "/scene")] == [1]
@@ -279,19 +279,19 @@ def test_a_view_is_drawn_where_tf_says_beside_the_cameras_of_the_run(viewed: Pat
         "the robot sees what it saw without views"
     )
     where = {
-        (header_stamp_ns(transform.header.stamp), transform.child_frame_id): transform.transform.translation
+        (time_from_msg(transform.header.stamp), transform.child_frame_id): transform.transform.translation
         for message in _messages(viewed, "/tf")
         for transform in message.transforms
     }
     scenes = {message.revision: conversions.scene_from_msg(message) for message in _messages(viewed, "/scene")}
-    states = {header_stamp_ns(message.header.stamp): message for message in _messages(viewed, "/scene_state")}
+    states = {time_from_msg(message.header.stamp): message for message in _messages(viewed, "/scene_state")}
     images = _messages(viewed, "/view_follow/image_raw")
-    assert [header_stamp_ns(image.header.stamp) for image in images] == [tick * 10**9 // 60 for tick in (3, 6, 9, 12)]
+    assert [time_from_msg(image.header.stamp) for image in images] == [tick * 10**9 // 60 for tick in (3, 6, 9, 12)]
     for image in images:
-        message = states[header_stamp_ns(image.header.stamp)]
+        message = states[time_from_msg(image.header.stamp)]
         state = conversions.scene_state_from_msg(message, scenes[message.revision].links)
         row = state.links.index("view_follow")
-        place = where[header_stamp_ns(image.header.stamp), image.header.frame_id]
+        place = where[time_from_msg(image.header.stamp), image.header.frame_id]
         assert (place.x, place.y, place.z) == tuple(state.positions[row])
         assert np.linalg.norm(state.positions[row][:2] - state.positions[0][:2]) == pytest.approx(1.8)
     with Renderer(scenes[2]) as renderer:

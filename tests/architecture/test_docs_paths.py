@@ -101,6 +101,25 @@ def _missing(page: Path, bare_names: bool) -> Iterator[str]:
         yield from (f"{page.relative_to(ROOT)}:{number}: {text}" for text in (*paths, *names, *dotted))
 
 
+def _files_of_table(head: str) -> list[str]:
+    """Returns the files and folders in the first column of a table of ARCHITECTURE.md; names after a folder are in it: `a/`: `b.py`, `c.py`."""
+    rows = (
+        (ROOT / "ARCHITECTURE.md").read_text().split(f"| {head} | content |\n|---|---|\n", 1)[1].split("\n\n", 1)[0].splitlines()
+    )
+    found = []
+    for row in rows:
+        folder, cell = "", row.split(" | ")[0]
+        for name, colon in re.findall(r"`([\w./]+)`(:?)", cell):
+            if colon:
+                folder = name
+            elif "/" in name:
+                found.append(name)
+                folder = name[: name.rfind("/") + 1]
+            else:
+                found.append(folder + name)
+    return found
+
+
 @cache
 def _anchors(page: Path) -> frozenset[str]:
     """Returns the anchors of a page's headings, as GitHub makes them."""
@@ -118,6 +137,20 @@ def test_files_and_modules_that_pages_name_exist() -> None:
 
 def test_files_and_modules_that_the_code_names_exist() -> None:
     assert [text for path in _code() for text in _missing(ROOT / path, bare_names=False)] == []
+
+
+@pytest.mark.parametrize("folder", ["ros", "physics", "render"])
+def test_tables_of_files_give_their_folders(folder: str) -> None:
+    place = ROOT / "src/gibson_sim/gibson_sim" / folder
+    named = _files_of_table(f"file in `{folder}/`")
+    assert [name for name in named if not (place / name).exists()] == []
+
+
+def test_table_of_ros_files_is_complete() -> None:
+    place = ROOT / "src/gibson_sim/gibson_sim/ros"
+    named = set(_files_of_table("file in `ros/`"))
+    files = {str(path.relative_to(place)) for path in place.rglob("*.py") if path.name != "__init__.py"}
+    assert sorted(name for name in files if not {name, f"{name.partition('/')[0]}/"} & named) == []
 
 
 def test_links_between_pages_lead_to_a_file_and_a_heading() -> None:

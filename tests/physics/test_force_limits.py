@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gibson_sim.physics.attachments import cube_of, feed_forward, reach_of
+from gibson_sim.physics.attachments import cube_of, feed_forward, force_bounds
 
 LIMIT = 500.0
 DIRECTIONS = [
@@ -30,9 +30,9 @@ def after(wanted: NDArray[np.float64], steps: int) -> list[float]:
     for _ in range(steps):
         force = middle + np.clip(wanted - middle, -half, half)
         out.append(float(np.linalg.norm(force)))
-        reach = reach_of(LIMIT, force.tolist())
-        half = cube_of(LIMIT, reach)
-        middle = np.array(feed_forward(force.tolist(), reach, half))
+        bounds = force_bounds(LIMIT, force.tolist())
+        half = cube_of(LIMIT, bounds)
+        middle = np.array(feed_forward(force.tolist(), bounds, half))
     return out
 
 
@@ -55,9 +55,9 @@ def test_no_corner_of_the_cube_is_ever_beyond_the_limit() -> None:
     for _ in range(300):
         force = rng.normal(size=3)
         force *= rng.uniform(0.0, 1.04) * LIMIT / float(np.linalg.norm(force))
-        reach = reach_of(LIMIT, force.tolist())
-        half = cube_of(LIMIT, reach)
-        middle = np.array(feed_forward(force.tolist(), reach, half))
+        bounds = force_bounds(LIMIT, force.tolist())
+        half = cube_of(LIMIT, bounds)
+        middle = np.array(feed_forward(force.tolist(), bounds, half))
         corners = [middle + half * np.array(signs) for signs in itertools.product((-1.0, 1.0), repeat=3)]
         assert max(float(np.linalg.norm(corner)) for corner in corners) < 1.0401 * LIMIT
         assert half > 0.2 * LIMIT, "it can always brake"
@@ -65,15 +65,15 @@ def test_no_corner_of_the_cube_is_ever_beyond_the_limit() -> None:
 
 def test_a_light_pull_needs_nothing_in_advance() -> None:
     force = (0.4 * LIMIT, -0.3 * LIMIT, 0.1 * LIMIT)
-    reach = reach_of(LIMIT, force)
-    half = cube_of(LIMIT, reach)
+    bounds = force_bounds(LIMIT, force)
+    half = cube_of(LIMIT, bounds)
     assert half == pytest.approx(1.04 * LIMIT / math.sqrt(3.0))
-    assert feed_forward(force, reach, half) == (0.0, 0.0, 0.0)
+    assert feed_forward(force, bounds, half) == (0.0, 0.0, 0.0)
 
 
 def test_the_cube_about_a_pull_along_an_axis_by_hand() -> None:
-    # Reach along x: 0.8 + 0.05; its corner is at 1.04: 0.85^2 + 2 half^2 = 1.04^2.
-    reach = reach_of(1.0, (-0.8, 0.0, 0.0))
-    half = cube_of(1.0, reach)
+    # Bound along x: 0.8 + 0.05; its corner is at 1.04: 0.85^2 + 2 half^2 = 1.04^2.
+    bounds = force_bounds(1.0, (-0.8, 0.0, 0.0))
+    half = cube_of(1.0, bounds)
     assert half == pytest.approx(math.sqrt((1.04**2 - 0.85**2) / 2.0))
-    assert feed_forward((-0.8, 0.0, 0.0), reach, half) == pytest.approx((half - 0.85, 0.0, 0.0))
+    assert feed_forward((-0.8, 0.0, 0.0), bounds, half) == pytest.approx((half - 0.85, 0.0, 0.0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.description.body import BodySpec
-from gibson_sim.description.extents import reach, shape_points
+from gibson_sim.description.extents import radius_and_top, shape_points
 from gibson_sim.description.shapes import Shape
 from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel
 from gibson_sim.formats.load_mesh import primitive_mesh
@@ -62,10 +62,10 @@ def test_extents_are_those_of_the_shape(shape: Shape) -> None:
     np.testing.assert_allclose(points.min(axis=0), -np.array(HALF[shape.kind]), atol=1e-12)
 
 
-def test_reach_of_a_tilted_capsule_is_that_of_its_farther_sphere() -> None:
+def test_radius_and_top_of_a_tilted_capsule_are_those_of_its_farther_sphere() -> None:
     T = matrix_from_pose(pose_from_xyz_rpy((1.0, 0.0, 0.5), (0.0, math.pi / 6, 0.0)))
     x, z = 1.0 + 0.15 * math.sin(math.pi / 6), 0.5 + 0.15 * math.cos(math.pi / 6)
-    assert reach(CAPSULE, T) == pytest.approx((x + 0.1, z + 0.1), abs=1e-12)
+    assert radius_and_top(CAPSULE, T) == pytest.approx((x + 0.1, z + 0.1), abs=1e-12)
 
 
 def _body(shape: Shape, z: float = 1.0, *, static: bool = False) -> BodySpec:

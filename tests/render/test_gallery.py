@@ -7,7 +7,7 @@ import pytest
 
 from gibson_sim.resources import find_config
 from gibson_sim.scenes.randomise import load_rules
-from gibson_sim.sensors.gallery import COLUMNS, HEIGHT, WIDTH, gallery, label_colors
+from gibson_sim.sensors.gallery import COLUMNS, HEIGHT, WIDTH, gallery
 from gibson_sim.types import Pose
 from render.drawing import box, scene
 
@@ -24,9 +24,3 @@ def test_gallery_has_rows_of_pictures_that_are_not_empty() -> None:
     step = picture.shape[0] // (picture.shape[0] // (HEIGHT + 26))
     for top in range(0, picture.shape[0] - HEIGHT, step):
         assert picture[top : top + HEIGHT].std() > 10.0
-
-
-def test_labels_next_to_each_other_get_colours_that_differ() -> None:
-    colors = label_colors(np.arange(40, dtype=np.uint16)[None])[0].astype(int)
-    assert (colors[0] == 0).all()
-    assert (np.abs(np.diff(colors, axis=0)).max(axis=1) > 40).all()

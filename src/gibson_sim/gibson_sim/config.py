@@ -257,6 +257,11 @@ def parse_fill(what: str, value: str | os.PathLike[str], folder: Path = Path()) 
     return str(path), with_depth
 
 
+def absolute_name(name: str) -> str:
+    """Returns the name of a topic or a node with its leading slash, which users may leave out."""
+    return name if name.startswith("/") else f"/{name}"
+
+
 _SUBSCRIBERS = re.compile(r"(/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*)(?::([1-9]\d{0,5}))?", re.ASCII)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim import __version__
+from gibson_sim.processes.processor import processors
 from gibson_sim.types import OUTPUTS, Output
 
 FIVE: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal")
@@ -86,17 +87,7 @@ def now() -> str:
 
 def machine() -> str:
     """Returns architecture, processor and system."""
-    return f"{platform.machine()}, {cpu()}, {platform.system()}"
-
-
-def cpu() -> str:
-    """Returns number and name of the processors."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    except OSError:
-        names = []
-    return f"{len(names)} x {names[0]}" if names else platform.processor() or "unknown CPU"
+    return f"{platform.machine()}, {processors() or 'unknown CPU'}, {platform.system()}"
 
 
 def cores() -> int:

@@ -13,7 +13,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.filling import fillers, onnx_files
 from gibson_sim.filling.fillers import LEARNED, PushPull, network_digests, open_filler
 from gibson_sim.filling.holes import Filled
-from gibson_sim.filling.network import REACH_PX
+from gibson_sim.filling.network import FADE_PX
 from support import onnx_bytes as ox
 from support.filler_networks import generator, our_network, pipeline
 
@@ -54,7 +54,7 @@ def test_corrections_of_our_network_fade_with_the_distance_from_holes(tmp_path: 
     hole[:, 0] = 1
     row = open_filler(str(file)).fill(grey, depth, normals, hole, with_depth=False).colour[8, :, 0].astype(float)
     distances = np.arange(200)
-    assert np.abs(row - 200.0 * (1.0 - np.exp(-distances / REACH_PX))).max() <= 1.0
+    assert np.abs(row - 200.0 * (1.0 - np.exp(-distances / FADE_PX))).max() <= 1.0
     assert row[0] == 0.0 and (row[120:] == 200.0).all()
 
 

@@ -28,7 +28,7 @@ def test_path_goes_diagonally_and_then_straight() -> None:
 
 
 def test_longer_reach_takes_the_straight_line() -> None:
-    assert GridGraph(OPEN, 0.5, reach=3).shortest_paths(0).lengths[0, 11] == pytest.approx(0.5 * math.hypot(2, 3))
+    assert GridGraph(OPEN, 0.5, max_step=3).shortest_paths(0).lengths[0, 11] == pytest.approx(0.5 * math.hypot(2, 3))
 
 
 def test_distances_are_those_to_the_nearest_source() -> None:

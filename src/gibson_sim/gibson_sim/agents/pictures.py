@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.sensors.depth_colours import DEPTH_RANGE_M, colourise_depth
+from gibson_sim.sensors.false_colours import DEPTH_RANGE_M, colourise_depth
 
 
 def picture(pixels: NDArray[Any], width: int) -> tuple[bytes, dict[str, Any]]:

@@ -19,7 +19,7 @@ from gibson_sim.bags.metadata import REPAIRED, read_metadata
 from gibson_sim.bags.plots.touches import Touch, TouchFinder, origin_ns, robot_bodies, robot_namespaces
 from gibson_sim.bags.reader import BagReader, TopicInfo
 from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, state_period_ns
-from gibson_sim.bags.stamps import header_stamp_ns, nominal_period_ns, stamp_ns
+from gibson_sim.bags.stamps import nominal_period_ns, stamp_ns, time_from_msg
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import wrap_angle, yaw_from_quat
 from gibson_sim.sensors.schedule import images_due
@@ -288,7 +288,7 @@ def _collect(bag: BagReader, infos: dict[str, TopicInfo]) -> _Collected:
         elif infos[topic].type_name == TF and not infos[topic].latched:
             for transform in bag.decode(TF, raw).transforms:
                 key = f"{topic} to {transform.child_frame_id}"
-                data.tf_stamps.setdefault(key, []).append(header_stamp_ns(transform.header.stamp))
+                data.tf_stamps.setdefault(key, []).append(time_from_msg(transform.header.stamp))
         elif touches.needs(topic):
             touches.add(topic, (log_ns - begin_ns) / NS_PER_S, bag.decode(infos[topic].type_name, raw))
     data.stamps = {topic: np.array(values, dtype=np.int64) for topic, values in stamps.items()}

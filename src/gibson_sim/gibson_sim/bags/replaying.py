@@ -15,7 +15,7 @@ from typing import Any
 
 from gibson_sim.bags.digest_comparison import Tick, TickDigests
 from gibson_sim.bags.reader import BagReader
-from gibson_sim.bags.stamps import header_stamp_ns
+from gibson_sim.bags.stamps import time_from_msg
 from gibson_sim.errors import RecordError, TextError
 from gibson_sim.reading import parse_yaml
 from gibson_sim.standard.requests import EPOCH_REQUESTS
@@ -289,7 +289,7 @@ def _add_digests(message: Any, digests: dict[Tick, list[TickDigests]]) -> None:
     topics = tuple(intern(topic) for topic in message.topics)
     numbers = array("Q", [int(digest) for digest in message.digests])
     tick = int(message.epoch), int(message.step)
-    digests.setdefault(tick, []).append(TickDigests(header_stamp_ns(message.header.stamp), topics, numbers))
+    digests.setdefault(tick, []).append(TickDigests(time_from_msg(message.header.stamp), topics, numbers))
 
 
 def _add_ticks(bag: BagReader, of_type: Mapping[str, Sequence[str]], content: _Content) -> None:

@@ -33,9 +33,9 @@ def stamp_ns(data: bytes, at: int = 4) -> int:
     return int(seconds) * NS_PER_S + int(nanoseconds)
 
 
-def header_stamp_ns(stamp: Any) -> int:
-    """Returns a ``builtin_interfaces/Time`` in nanoseconds."""
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+def time_from_msg(msg: Any) -> int:
+    """Returns the time in a ``builtin_interfaces/Time``, nanoseconds; of rclpy or as decoded from a bag."""
+    return int(msg.sec) * NS_PER_S + int(msg.nanosec)
 
 
 def nominal_period_ns(stamps: NDArray[np.int64]) -> float:

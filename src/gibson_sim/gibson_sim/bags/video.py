@@ -19,7 +19,7 @@ from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.picture_files import write_picture
 from gibson_sim.quoting import quoted
-from gibson_sim.sensors.depth_colours import colourise_depth
+from gibson_sim.sensors.false_colours import colourise_depth
 from gibson_sim.types import NS_PER_S
 
 ODOMETRY = "nav_msgs/msg/Odometry"

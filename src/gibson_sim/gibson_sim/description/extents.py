@@ -51,7 +51,7 @@ def shape_points(shape: Shape, points: MeshPoints | None = None) -> NDArray[np.f
     return np.concatenate([sphere[sphere[:, 2] >= 0] + half_length, sphere[sphere[:, 2] <= 0] - half_length])
 
 
-def reach(shape: Shape, T_root_shape: Mat4, points: MeshPoints | None = None) -> tuple[float, float] | None:
+def radius_and_top(shape: Shape, T_root_shape: Mat4, points: MeshPoints | None = None) -> tuple[float, float] | None:
     """Returns (maximum distance from the z axis, maximum z), metres; None = unreadable mesh.
 
     They are exact, except for the radius of tilted cylinders, and for ellipsoids and cones, which are measured at points on their surface.

@@ -23,7 +23,7 @@ MULTIPLE = 16
 """Images are padded to multiples of this many pixels for our networks."""
 VERSION = "1"
 """Value of ``gibson_filler`` in the metadata of a file: the version of the input format."""
-REACH_PX = 16.0
+FADE_PX = 16.0
 """Distance from the nearest hole at which the correction of a visible surface has fallen to 1/e, pixels. Scans are bad where they have holes; further
 away, corrections do not bring an image nearer to the truth, and leave blotches (chosen on the validation scenes, see docs/filler_training.md)."""
 _LEAST_INVERSE = np.float32(1e-3)
@@ -158,7 +158,7 @@ def _near_holes(corrected: U8, colour: U8, holes: NDArray[np.bool_]) -> U8:
     if not holes.any():
         return colour.copy()
     distance = cv2.distanceTransform((~holes).astype(np.uint8), cv2.DIST_L2, 5)
-    share = np.exp(distance * np.float32(-1.0 / REACH_PX))
+    share = np.exp(distance * np.float32(-1.0 / FADE_PX))
     blended = cv2.blendLinear(corrected, colour, share, np.float32(1.0) - share)
     return np.asarray(blended, dtype=np.uint8)
 

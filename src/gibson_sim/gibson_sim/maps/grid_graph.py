@@ -15,7 +15,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 _LINE_SAMPLES = 8
-"""Number of sample points on a step, per cell of ``reach``."""
+"""Number of sample points on a step, per cell of ``max_step``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,26 +49,26 @@ class GridGraph:
     Args:
         passable: mask of passable cells, (H, W).
         resolution: size of a cell, metres.
-        reach: maximum number of rows or columns that a step crosses: 1 = 8-connected, 3 = 32-connected.
+        max_step: maximum number of rows or columns that a step crosses: 1 = 8-connected, 3 = 32-connected.
         clear_lines: whether all cells on the straight line of a step must be passable, else only the cell at its end.
         price: (N,), cost per metre in each cell; None = 1; the cost of a step is its length times the mean price of its ends.
     """
 
     def __init__(
-        self, passable: Bools, resolution: float, *, reach: int = 1, clear_lines: bool = False, price: F64 | None = None
+        self, passable: Bools, resolution: float, *, max_step: int = 1, clear_lines: bool = False, price: F64 | None = None
     ) -> None:
         self.cells: I64 = np.argwhere(passable)
         """Row and column of each node, (N, 2)."""
         self.numbers: I64 = np.full(passable.shape, -1, dtype=np.int64)
         """Node of each cell, (H, W), -1 = not passable."""
         self.numbers[passable] = np.arange(len(self.cells))
-        padded = np.pad(passable, reach)
+        padded = np.pad(passable, max_step)
         rows, columns, costs = [], [], []
-        for step in _half_of_the_steps(reach):
-            needed = _touched(step, reach) if clear_lines else np.array([step])
+        for step in _half_of_the_steps(max_step):
+            needed = _touched(step, max_step) if clear_lines else np.array([step])
             clear = np.ones(len(self.cells), dtype=bool)
             for offset in needed:
-                clear &= padded[tuple((self.cells + offset + reach).T)]
+                clear &= padded[tuple((self.cells + offset + max_step).T)]
             from_rows = np.flatnonzero(clear)
             to_nodes = self.numbers[tuple((self.cells[from_rows] + step).T)]
             length = math.hypot(*step) * resolution
@@ -89,15 +89,15 @@ class GridGraph:
         return ShortestPaths(nodes, np.asarray(lengths), np.asarray(predecessors))
 
 
-def _half_of_the_steps(reach: int) -> list[tuple[int, int]]:
-    """Returns the steps (rows, columns) up to ``reach``, without multiples of shorter steps, and one of each pair of opposite steps."""
-    steps = [(dr, dc) for dr in range(reach + 1) for dc in range(-reach, reach + 1)]
+def _half_of_the_steps(max_step: int) -> list[tuple[int, int]]:
+    """Returns the steps (rows, columns) up to ``max_step``, without multiples of shorter steps, and one of each pair of opposite steps."""
+    steps = [(dr, dc) for dr in range(max_step + 1) for dc in range(-max_step, max_step + 1)]
     return [(dr, dc) for dr, dc in steps if math.gcd(dr, dc) == 1 and (dr > 0 or dc > 0)]
 
 
-def _touched(step: tuple[int, int], reach: int) -> I64:
+def _touched(step: tuple[int, int], max_step: int) -> I64:
     """Returns offsets (K, 2) of the cells on the line from the centre of a cell to that of another."""
-    along = np.linspace(0.0, 1.0, _LINE_SAMPLES * reach + 1)[:, None] * np.array(step)
+    along = np.linspace(0.0, 1.0, _LINE_SAMPLES * max_step + 1)[:, None] * np.array(step)
     low, high = np.floor(along + 0.499), np.ceil(along - 0.499)
     # If the line passes through a corner, all adjacent cells count.
     mixed = [low, high, np.stack([low[:, 0], high[:, 1]], 1), np.stack([high[:, 0], low[:, 1]], 1)]

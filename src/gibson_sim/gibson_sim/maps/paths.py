@@ -18,7 +18,7 @@ from gibson_sim.maps.grid_graph import GridGraph
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 
-_REACH = 3
+_MAX_STEP = 3
 """Maximum number of rows or columns that a step of the graph crosses."""
 _SNAP_DISTANCE = 0.5
 """Maximum distance by which a start or goal is moved to a free cell, metres."""
@@ -46,7 +46,7 @@ class PathPlanner:
         self._floor, self._radius = floor, radius
         self.places: Bools = np.asarray(floor.free & (floor.distance_to_obstacle >= radius))
         """Mask of the cells at whose centre a disc of ``radius`` is free of collisions, (H, W)."""
-        self._graph = GridGraph(self.places, floor.resolution, reach=_REACH, clear_lines=True)
+        self._graph = GridGraph(self.places, floor.resolution, max_step=_MAX_STEP, clear_lines=True)
 
     def distances(self, goal: ArrayLike) -> F64:
         """Returns (H, W): length of the shortest path from each cell to a goal (2,), world metres; +inf = no path.

@@ -34,7 +34,7 @@ from gibson_sim.scenes.spec import SceneSpec
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 
-REACH = 0.3
+MAX_RISE = 0.3
 """Maximum height difference between ramps and steps and the floor that they belong to, metres."""
 _LAYER = 0.01
 """Thickness of the height layers, metres."""
@@ -67,7 +67,7 @@ class RobotSize:
     """Maximum slope that it drives on, radians."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("radius", 0.0, 10.0), ("height", 0.02, 10.0), ("step", 0.0, REACH), ("slope", 0.0, 1.2)):
+        for name, low, high in (("radius", 0.0, 10.0), ("height", 0.02, 10.0), ("step", 0.0, MAX_RISE), ("slope", 0.0, 1.2)):
             value = getattr(self, name)
             if not low <= value <= high:
                 unit = "rad" if name == "slope" else "m"
@@ -132,9 +132,9 @@ def traversable_map(
         SceneError: the scene has no surface at this height.
     """
     every = np.asarray(corners, dtype=np.float64).reshape(-1, 3, 3)
-    near = every[_reaches(every, floor_z - REACH, floor_z + REACH + robot.height)]
+    near = every[_reaches(every, floor_z - MAX_RISE, floor_z + MAX_RISE + robot.height)]
     surfaces = near[np.abs(unit_normals(near)[:, 2]) >= math.cos(robot.slope)]
-    surfaces = surfaces[_reaches(surfaces, floor_z - REACH, floor_z + REACH)]
+    surfaces = surfaces[_reaches(surfaces, floor_z - MAX_RISE, floor_z + MAX_RISE)]
     level = surfaces[_reaches(surfaces, floor_z - FLOOR_TOLERANCE, floor_z + FLOOR_TOLERANCE)][:, :, :2]
     obstacles = clip_to_slab(near, floor_z + FLOOR_CLEARANCE, floor_z + robot.height)
     grid = grid_about(level, obstacles, resolution, floor_z, ground_plane)
@@ -220,7 +220,7 @@ def _layers(surfaces: F64, floor_z: float, grid: Grid, solid: Bools, ground_plan
 
     Cells that are ``solid``, (H, W), have no floor.
     """
-    half = round(REACH / _LAYER)
+    half = round(MAX_RISE / _LAYER)
     layers = np.zeros((2 * half + 1, *grid.shape), dtype=bool)
     for index in range(len(layers)):
         low = floor_z + (index - half - 0.5) * _LAYER

@@ -26,7 +26,7 @@ from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import EngineContact
 from gibson_sim.physics.grasper import Grasper
 from gibson_sim.physics.link_poses import link_pose
-from gibson_sim.physics.proximity import Reach
+from gibson_sim.physics.proximity import Proximity
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.collision_count import STANDING_HEIGHT, STANDING_NORMAL, CollisionCount, CollisionCounter
@@ -88,7 +88,7 @@ class ArmsInWorld:
         self._bullet, self._robots, self._bodies, self._attachments = bullet, robots, bodies, attachments
         self._state_of, self._now_ns = state_of, now_ns
         self._grasping, self._servo = grasping, servo
-        self._reach = Reach(bullet)
+        self._proximity = Proximity(bullet)
         self._by_robot: dict[str, _RobotArms] = {}
         """Arms by robot name, created at first use."""
         self._counted: set[str] = set()
@@ -276,7 +276,7 @@ class ArmsInWorld:
         robot = self._robot(name)
         if name not in self._by_robot:
             graspers = {
-                arm.name: Grasper(self._bullet, robot, arm, self._attachments, self._reach, self._bodies, self._grasping)
+                arm.name: Grasper(self._bullet, robot, arm, self._attachments, self._proximity, self._bodies, self._grasping)
                 for arm in robot.spec.manipulators
                 if arm.gripper is not None
             }

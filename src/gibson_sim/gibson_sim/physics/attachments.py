@@ -1,7 +1,7 @@
 """Temporary joints between two links, such as a hand and a handle: ball joints and fixed joints, with a force limit.
 
 The engine limits the force along each world axis. A limit that holds for all directions is built from a cube of equal axis limits around a
-feed-forward force: see ``reach_of``, ``cube_of`` and ``feed_forward`` at the end.
+feed-forward force: see ``force_bounds``, ``cube_of`` and ``feed_forward`` at the end.
 """
 
 from __future__ import annotations
@@ -198,10 +198,10 @@ class Attachments:
     def _limit(self, constraint: _Constraint) -> None:
         """Sets the axis limit and the feed-forward force for the next step."""
         max_force = constraint.attachment.max_force
-        reaches = [reach_of(max_force, borne) for borne in constraint.borne]
-        half = min(cube_of(max_force, reach) for reach in reaches)
+        bounds = [force_bounds(max_force, borne) for borne in constraint.borne]
+        half = min(cube_of(max_force, bound) for bound in bounds)
         constraint.force, constraint.torque = (
-            feed_forward(borne, reach, half) for borne, reach in zip(constraint.borne, reaches, strict=True)
+            feed_forward(borne, bound, half) for borne, bound in zip(constraint.borne, bounds, strict=True)
         )
         if half != constraint.half:
             constraint.half = half
@@ -227,7 +227,7 @@ class Attachments:
             self._bullet.wake(body.engine_body)
 
 
-def reach_of(limit: float, borne: Sequence[float]) -> Vec3:
+def force_bounds(limit: float, borne: Sequence[float]) -> Vec3:
     """Returns the largest magnitude of the force along each axis in the next step, N or N m.
 
     Args:
@@ -245,10 +245,10 @@ def reach_of(limit: float, borne: Sequence[float]) -> Vec3:
     return x + growth, y + growth, z + growth
 
 
-def cube_of(limit: float, reach: Vec3) -> float:
-    """Returns half the edge of the largest cube, N or N m, that stays within the limit at every position within ``reach``."""
+def cube_of(limit: float, bounds: Vec3) -> float:
+    """Returns half the edge of the largest cube, N or N m, that stays within the limit at every position within ``bounds``."""
     remaining, half = (_PEAK * limit) ** 2, 0.0
-    for count, axis in zip((3, 2, 1), sorted(reach, reverse=True), strict=True):
+    for count, axis in zip((3, 2, 1), sorted(bounds, reverse=True), strict=True):
         half = math.sqrt(remaining / count)
         if half >= axis:
             break
@@ -256,9 +256,9 @@ def cube_of(limit: float, reach: Vec3) -> float:
     return half
 
 
-def feed_forward(borne: Sequence[float], reach: Vec3, half: float) -> Vec3:
+def feed_forward(borne: Sequence[float], bounds: Vec3, half: float) -> Vec3:
     """Returns the centre of the cube, N or N m: 0 along axes where a cube around zero extends far enough."""
-    x, y, z = (math.copysign(max(0.0, far - half), force) for far, force in zip(reach, borne, strict=True))
+    x, y, z = (math.copysign(max(0.0, far - half), force) for far, force in zip(bounds, borne, strict=True))
     return x, y, z
 
 

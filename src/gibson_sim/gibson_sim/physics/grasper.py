@@ -9,7 +9,7 @@ from gibson_sim.physics.attachments import AttachmentKind, Attachments
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import EngineContact
-from gibson_sim.physics.proximity import Reach
+from gibson_sim.physics.proximity import Proximity
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.joints.grasping import Candidate, GraspSettings, GraspState, best_candidate, hinge_of, release_reason
@@ -32,7 +32,7 @@ class Grasper:
         robot: BodyInWorld,
         arm: ManipulatorSpec,
         attachments: Attachments,
-        reach: Reach,
+        proximity: Proximity,
         bodies: Callable[[], Sequence[BodyInWorld]],
         settings: GraspSettings,
     ) -> None:
@@ -43,11 +43,11 @@ class Grasper:
             robot: Robot of the gripper.
             arm: Arm of the gripper.
             attachments: Joints to held objects.
-            reach: Finds links near a point.
+            proximity: Finds links near a point.
             bodies: Returns all robots and bodies of the world.
             settings: Rules of grasping.
         """
-        self._bullet, self._robot, self._arm, self._attachments, self._reach = bullet, robot, arm, attachments, reach
+        self._bullet, self._robot, self._arm, self._attachments, self._proximity = bullet, robot, arm, attachments, proximity
         self._bodies, self._settings = bodies, settings
         self.rows = hand_rows(robot, arm.tip_link)
         """Engine indices of the links of the hand: the rigid group of the tool, and all links below it."""
@@ -138,11 +138,11 @@ class Grasper:
 
     def _grasp_nearest(self, others: Sequence[BodyInWorld]) -> None:
         settings, point = self._settings, self._robot.link_position(self._bullet, self._arm.tip_link)
-        candidate = best_candidate(self._reach.movable_links(point, others, settings.distance), settings.distance)
+        candidate = best_candidate(self._proximity.movable_links(point, others, settings.distance), settings.distance)
         if candidate is not None:
             self._attach(candidate, None)
             return
-        nearest = best_candidate(self._reach.movable_links(point, others, _NEAREST_WITHIN), _NEAREST_WITHIN)
+        nearest = best_candidate(self._proximity.movable_links(point, others, _NEAREST_WITHIN), _NEAREST_WITHIN)
         hint = "" if nearest is None else f"; {nearest.body}/{nearest.link} is at {nearest.distance:.3f} m"
         self._reason = f"no movable link is within {settings.distance:g} m of {self._arm.tip_link}{hint}"
 

@@ -1,6 +1,6 @@
 """Proximity queries: links of other bodies near a point or a link.
 
-``neighbours`` finds links near a link; ``Reach`` finds movable links near a point, which a gripper could grasp.
+``neighbours`` finds links near a link; ``Proximity`` finds movable links near a point, which a gripper could grasp.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _RADIUS = 1e-3
 """Radius of the sphere that represents a point, metres: the engine has no point shapes."""
 
 
-class Reach:
+class Proximity:
     """Finds links near a point, in one engine."""
 
     def __init__(self, bullet: Bullet) -> None:

@@ -186,7 +186,7 @@ class _Servo:
         self._wheels = wheels
         """Engine indices of the links whose load gives traction; None = all."""
         self._mass, self._inertia = mass_and_inertia(body.model)
-        self._reach = servo.reach or math.sqrt(self._inertia / self._mass)
+        self._lever_arm = servo.lever_arm or math.sqrt(self._inertia / self._mass)
         self._slope_loss = [0.0, 0.0]
         """Velocity lost on a slope per step, (x, y) m/s, compensated in advance: without it, a robot at rest would creep downhill."""
 
@@ -205,7 +205,7 @@ class _Servo:
             change[i] += self._slope_loss[i]
         size, limit = math.hypot(*change), grip / self._mass
         scale = 1.0 if size <= limit else limit / size
-        spin_limit = grip * self._reach / self._inertia
+        spin_limit = grip * self._lever_arm / self._inertia
         speed += (change[0] * scale, change[1] * scale, 0.0)
         spin[2] += min(max(velocity.angular - float(spin[2]), -spin_limit), spin_limit)
         bullet.set_velocity(self._body.engine_body, pose.quat_xyzw, R_world_base @ speed, R_world_base @ spin)

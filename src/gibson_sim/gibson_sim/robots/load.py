@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gibson_sim.description.body import model_visuals
-from gibson_sim.description.extents import MeshPoints, reach
+from gibson_sim.description.extents import MeshPoints, radius_and_top
 from gibson_sim.description.mesh_files import PACKAGE_SCHEME, resolve_mesh
 from gibson_sim.description.packages import searched_places
 from gibson_sim.description.rigid_groups import MOVING_TYPES
@@ -216,7 +216,7 @@ def _size(model: UrdfModel, robot: YamlMap, joints: Mapping[str, float], points:
     transforms = model.transforms(joints)
     for link in model.links if len(values) < 2 else ():
         for collision in link.collisions:
-            extent = reach(collision.shape, transforms[link.name] @ matrix_from_pose(collision.pose), points)
+            extent = radius_and_top(collision.shape, transforms[link.name] @ matrix_from_pose(collision.pose), points)
             if extent is None:
                 meshes += 1
             else:

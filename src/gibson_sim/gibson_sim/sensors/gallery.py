@@ -17,8 +17,8 @@ from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pos
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.randomise import Rules, randomise
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight
-from gibson_sim.sensors.depth_colours import colourise_depth
 from gibson_sim.sensors.depth_noise import apply_depth_noise
+from gibson_sim.sensors.false_colours import colourise_depth, colourise_labels
 from gibson_sim.sensors.rendered_lidar import LidarPattern, RenderedLidar, even_elevations
 from gibson_sim.types import NS_PER_S, OUTPUTS, CameraSpec, DepthNoise, Frame, ImageEffects, Output, Pose, SceneState
 
@@ -188,8 +188,8 @@ def picture_of_output(frame: Frame, output: Output) -> Rgb:
     pictures: dict[Output, Callable[[Frame], Rgb]] = {
         "rgb": lambda f: _required(f.rgb).copy(),
         "depth": lambda f: np.ascontiguousarray(colourise_depth(_required(f.depth), _FAR_SHOWN_M)[:, :, ::-1]),
-        "semantic": lambda f: label_colors(_required(f.semantic)),
-        "instance": lambda f: label_colors(_required(f.instance)),
+        "semantic": lambda f: colourise_labels(_required(f.semantic))[:, :, ::-1],
+        "instance": lambda f: colourise_labels(_required(f.instance))[:, :, ::-1],
         "normal": lambda f: _direction_picture(_required(f.normal)),
         "normal_world": lambda f: _direction_picture(_required(f.normal_world)),
         "position": lambda f: _position_picture(_required(f.position)),
@@ -203,16 +203,6 @@ def _required(array: NDArray[Any] | None) -> NDArray[Any]:
     if array is None:
         raise ValueError("the frame does not have this output")
     return array
-
-
-def label_colors(labels: NDArray[Any]) -> Rgb:
-    """Returns a colour for each label, black for 0; consecutive numbers differ in hue."""
-    number = np.arange(int(labels.max(initial=0)) + 1)
-    hsv = np.stack([number * 0.61803 % 1.0 * 180.0, 110 + number * 53 % 110, 170 + number * 37 % 80], axis=-1).astype(np.uint8)
-    palette = np.asarray(cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB))[0]
-    palette[0] = 0
-    picture: Rgb = palette[labels]
-    return picture
 
 
 def _direction_picture(normals: NDArray[Any]) -> Rgb:

@@ -24,6 +24,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.jobs.units import LOG_SUFFIX, Backend, Context, Unit, UnitResult, backend_for, run_units
 from gibson_sim.processes.environment import require_nodes
 from gibson_sim.processes.folder_lock import locked_folder
+from gibson_sim.processes.processor import processors
 from gibson_sim.quoting import quoted
 from gibson_sim.trials.comparison import compare as compare_results
 from gibson_sim.trials.json_values import json_values, restored
@@ -190,7 +191,7 @@ def run(
             planned=max(len(chosen), len(done)) if resume else len(chosen),
             scenario=json_values(loaded),
             versions={"gibson_sim": __version__, "python": platform.python_version(), "system": platform.platform()},
-            machine={"name": platform.node(), "processor": _processor()},
+            machine={"name": platform.node(), "processor": processors()},
             started=started.isoformat(timespec="seconds"),
             wall_time=earlier_s + time.monotonic() - begin_s,
             workers=str(workers),
@@ -249,16 +250,6 @@ def _write_report(trial: TrialResults, folder: Path, options: Sequence[str]) -> 
     write_results(trial, folder)
     write_file(folder / junit.FILE, junit.junit_xml(trial, folder, options))
     write_file(folder / page.FILE, page.trial_page(trial, folder, options, f"made by gibson-sim {__version__} trial"))
-
-
-def _processor() -> str:
-    """Returns the number and the model of the processors of this machine."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return f"{len(names)} x {names[0]}" if names else platform.processor()
 
 
 def check(scenario: Scenario) -> None:

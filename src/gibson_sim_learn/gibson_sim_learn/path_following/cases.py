@@ -97,8 +97,8 @@ def draw_cases(ground: Ground, scene: str, length: float, count: int, seed: int)
     """
     rng = np.random.default_rng([seed, round(1000 * length), *scene.encode()])
     clearance = ground.robot.radius + CLEARANCE
-    planner = PathPlanner(ground.floor, clearance)
-    region = ground.floor.largest_free_region(clearance)
+    planner = ground.space.planner_of(clearance)
+    region = ground.space.largest_region(clearance)
     found: list[PathCase] = []
     for attempt in range(_ATTEMPTS):
         if len(found) == count:

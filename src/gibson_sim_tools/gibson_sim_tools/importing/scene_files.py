@@ -19,26 +19,26 @@ from gibson_sim.scenes.spec import SceneSpec
 F64 = NDArray[np.float64]
 
 
-def clearances(corners: ArrayLike, places: ArrayLike, low: float, high: float, *, reach: float = 1.0) -> F64:
-    """Returns the horizontal distances, (N,), m, from points to the nearest triangle between two heights; at most ``reach``.
+def clearances(corners: ArrayLike, places: ArrayLike, low: float, high: float, *, max_distance: float = 1.0) -> F64:
+    """Returns the horizontal distances, (N,), m, from points to the nearest triangle between two heights; at most ``max_distance``.
 
     Args:
         corners: (F, 3, 3), world frame, metres.
         places: points, (N, 2), world x, y, metres.
         low: height above which triangles are obstacles, metres.
         high: height below which triangles are obstacles, metres.
-        reach: maximum distance measured, metres.
+        max_distance: maximum distance measured, metres.
     """
     triangles = np.asarray(corners, dtype=np.float64).reshape(-1, 3, 3)
     between = (triangles[:, :, 2].max(axis=1) > low) & (triangles[:, :, 2].min(axis=1) < high)
     polygons = clip_to_slab(triangles[between], low, high)
     points = np.asarray(places, dtype=np.float64).reshape(-1, 2)
-    out = np.full(len(points), reach)
+    out = np.full(len(points), max_distance)
     first, last = polygons.min(axis=1), polygons.max(axis=1)
     for number, point in enumerate(points):
-        is_near = ((first < point + reach) & (last > point - reach)).all(axis=1)
+        is_near = ((first < point + max_distance) & (last > point - max_distance)).all(axis=1)
         if is_near.any():
-            out[number] = min(reach, float(_distances(polygons[is_near], point).min()))
+            out[number] = min(max_distance, float(_distances(polygons[is_near], point).min()))
     return out
 
 

@@ -24,7 +24,7 @@ from gibson_sim.bags.comparison.recorded_drive import (
 )
 from gibson_sim.bags.comparison.timing import SAME_CLOCK_S
 from gibson_sim.bags.reader import BagReader, TopicInfo, image_to_array
-from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
+from gibson_sim.bags.stamps import stamp_ns, time_from_msg
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, yaw_from_quat
 from gibson_sim.sensors.image_codecs import decode_color
@@ -118,11 +118,11 @@ class _Reading:
 
     def _imu(self, log_ns: int, msg: Any) -> None:
         w, a = msg.angular_velocity, msg.linear_acceleration
-        self._rows["imu"].append((header_stamp_ns(msg.header.stamp), w.x, w.y, w.z, a.x, a.y, a.z))
+        self._rows["imu"].append((time_from_msg(msg.header.stamp), w.x, w.y, w.z, a.x, a.y, a.z))
 
     def _scan(self, log_ns: int, msg: Any) -> None:
         self._frames.setdefault("scan", msg.header.frame_id)
-        self._rows["scan"].append((header_stamp_ns(msg.header.stamp), msg))
+        self._rows["scan"].append((time_from_msg(msg.header.stamp), msg))
 
     def _map(self, log_ns: int, msg: Any) -> None:
         info = msg.info
@@ -138,7 +138,7 @@ class _Reading:
     def _image(self, log_ns: int, msg: Any) -> None:
         rgb = _rgb(msg)
         if rgb is not None:
-            self._rows["image"].append((header_stamp_ns(msg.header.stamp), *picture_statistics(rgb), thumbnail(rgb)))
+            self._rows["image"].append((time_from_msg(msg.header.stamp), *picture_statistics(rgb), thumbnail(rgb)))
 
     def _transforms(self, msg: Any, fixed: bool) -> None:
         for one in msg.transforms:
@@ -148,7 +148,7 @@ class _Reading:
                 self._fixed[child] = (parent, matrix_from_pose(Pose((t.x, t.y, t.z), (q.x, q.y, q.z, q.w))))
             elif child.rpartition("/")[2] == "odom" and parent.rpartition("/")[2] == "map":
                 yaw = yaw_from_quat((q.x, q.y, q.z, q.w))
-                self._map_from_odom.append((header_stamp_ns(one.header.stamp), t.x, t.y, yaw))
+                self._map_from_odom.append((time_from_msg(one.header.stamp), t.x, t.y, yaw))
 
     def recording(self, folder: Path) -> RecordedDrive:
         """Returns the recording from the messages read."""
@@ -272,7 +272,7 @@ class _Reading:
 def _planar(stamp: Any, pose: Any, twist: Any) -> tuple[int, float, float, float, float, float]:
     q = pose.orientation
     linear, angular = (twist.linear.x, twist.angular.z) if twist is not None else (np.nan, np.nan)
-    return header_stamp_ns(stamp), pose.position.x, pose.position.y, yaw_from_quat((q.x, q.y, q.z, q.w)), linear, angular
+    return time_from_msg(stamp), pose.position.x, pose.position.y, yaw_from_quat((q.x, q.y, q.z, q.w)), linear, angular
 
 
 def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:

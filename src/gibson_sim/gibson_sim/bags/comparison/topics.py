@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from gibson_sim.bags.reader import TopicInfo
+from gibson_sim.config import absolute_name
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
@@ -75,7 +76,7 @@ def topic_options(options: Sequence[str]) -> dict[str, dict[str, str]]:
                 f"--topic {quoted(option)}: must be ROLE=/topic or real:ROLE=/topic or sim:ROLE=/topic; roles: {', '.join(known)}"
             )
         for one in (side,) if colon else SIDES:
-            chosen[one][role] = topic if topic.startswith("/") else f"/{topic}"
+            chosen[one][role] = absolute_name(topic)
     return chosen
 
 

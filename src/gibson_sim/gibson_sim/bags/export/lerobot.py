@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.bags.export.job import ExportJob
 from gibson_sim.bags.export.read import ExportCamera
-from gibson_sim.bags.stamps import header_stamp_ns, nominal_period_ns
+from gibson_sim.bags.stamps import nominal_period_ns, time_from_msg
 from gibson_sim.bags.video_file import write_frames
 from gibson_sim.errors import EnvironmentProblemError, RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
@@ -145,7 +145,7 @@ def _read(job: ExportJob, topic: str, names: tuple[str, ...], row: Any) -> _Seri
     stamped = job.bag.topics()[topic].stamped
     stamps, rows = [], []
     for _, log_ns, msg in job.bag.messages([topic], stop_ns=job.end_ns + 1):
-        stamps.append(header_stamp_ns(msg.header.stamp) if stamped else log_ns)
+        stamps.append(time_from_msg(msg.header.stamp) if stamped else log_ns)
         rows.append(row(msg))
     order = np.argsort(stamps, kind="stable")
     return _Series(

@@ -11,7 +11,7 @@ import numpy as np
 from gibson_sim.bags.export.files import ImageFiles, image_suffix, seconds, write_table
 from gibson_sim.bags.export.job import ExportJob
 from gibson_sim.bags.export.read import ExportCamera, nearest
-from gibson_sim.bags.stamps import header_stamp_ns
+from gibson_sim.bags.stamps import time_from_msg
 from gibson_sim.geometry.transforms import pose_from_matrix
 from gibson_sim.writing import write_file
 
@@ -94,7 +94,7 @@ def write_series(job: ExportJob) -> None:
             topic: str = topic, stamped: bool = info.stamped, values: Callable[[Any], Sequence[float]] = values
         ) -> Iterator[Sequence[Any]]:
             for _, log_ns, msg in job.bag.messages([topic], start_ns=job.begin_ns, stop_ns=job.end_ns + 1):
-                stamp = header_stamp_ns(msg.header.stamp) if stamped else log_ns
+                stamp = time_from_msg(msg.header.stamp) if stamped else log_ns
                 yield (stamp, *map(repr, map(float, values(msg))))
 
         path = job.output / f"{topic.strip('/').replace('/', '_')}.csv"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gibson_sim.bags.export.read import ExportCamera
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE
-from gibson_sim.bags.stamps import header_stamp_ns
+from gibson_sim.bags.stamps import time_from_msg
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.interpolation import slerp
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, matrix_from_quat
@@ -94,7 +94,7 @@ class StatePoses:
         mount_links = {link for link, _ in self._mounts.values()}
         self._tracks: dict[str, PoseTrack] = {link: PoseTrack() for link in mount_links}
         for _, _, msg in bag.messages([state_topic]):
-            stamp = header_stamp_ns(msg.header.stamp)
+            stamp = time_from_msg(msg.header.stamp)
             for row, link in zip(msg.poses.reshape(-1, 7), links.get(msg.revision, ()), strict=False):
                 if link in mount_links:
                     self._tracks[link].add(stamp, row)
@@ -151,7 +151,7 @@ class TransformPoses:
         if is_static:
             self._fixed_poses[child] = _matrix(row)
         else:
-            self._tracks.setdefault(child, PoseTrack()).add(header_stamp_ns(msg.header.stamp), row)
+            self._tracks.setdefault(child, PoseTrack()).add(time_from_msg(msg.header.stamp), row)
 
     def fixed_frame(self, camera: ExportCamera) -> str:
         """Returns the frame of the camera's poses; empty = tf does not have the camera."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, base_topic, raw_image
 from gibson_sim.bags.reader import BagReader, image_to_array
-from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
+from gibson_sim.bags.stamps import stamp_ns, time_from_msg
 from gibson_sim.errors import RecordError
 from gibson_sim.quoting import quoted
 from gibson_sim.sensors.image_codecs import decode_color, without_exif
@@ -291,7 +291,7 @@ def camera_images(
     owners = {stream.topic: (camera, output) for camera in cameras for output, stream in camera.streams.items()}
     for topic, _, msg in bag.messages(list(owners), start_ns=begin_ns, stop_ns=end_ns):
         camera, output = owners[topic]
-        yield CameraImage(camera, output, header_stamp_ns(msg.header.stamp), msg)
+        yield CameraImage(camera, output, time_from_msg(msg.header.stamp), msg)
 
 
 def depth_in_units(metres: NDArray[np.float32], per_metre: float) -> NDArray[np.uint16]:

@@ -7,7 +7,7 @@ import re
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from gibson_sim.config import parse_subscribers
+from gibson_sim.config import absolute_name, parse_subscribers
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
@@ -86,7 +86,7 @@ class PlayOptions:
         rules = {}
         for rule in self.remap:
             old, _, new = rule.partition(_REMAP)
-            old, new = full_name(old), full_name(new)
+            old, new = absolute_name(old), absolute_name(new)
             if not (_TOPIC.fullmatch(old) and _TOPIC.fullmatch(new)):
                 raise ConfigError(f"--remap has {quoted(rule)}, must be OLD:=NEW, such as /camera/image_raw:=/image")
             rules[old] = new
@@ -98,9 +98,4 @@ class PlayOptions:
         Raises:
             ConfigError: an entry is neither ``TOPIC`` nor ``TOPIC:N``.
         """
-        return {full_name(topic): number for topic, number in parse_subscribers("--wait-for", self.wait_for).items()}
-
-
-def full_name(topic: str) -> str:
-    """Returns the name of a topic with the leading slash, which may be left out."""
-    return topic if topic.startswith("/") else f"/{topic}"
+        return {absolute_name(topic): number for topic, number in parse_subscribers("--wait-for", self.wait_for).items()}

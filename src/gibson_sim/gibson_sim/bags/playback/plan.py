@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from gibson_sim.bags.metadata import TopicQos
-from gibson_sim.bags.playback.options import PlayOptions, full_name
+from gibson_sim.bags.playback.options import PlayOptions
 from gibson_sim.bags.reader import BagReader
+from gibson_sim.config import absolute_name
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.settings import nearest
@@ -74,7 +75,7 @@ def select_topics(bag: BagReader, options: PlayOptions) -> tuple[PlayedTopic, ..
     infos = {name: info for name, info in bag.topics().items() if name != CLOCK}
     requested = [_known(topic, infos, "--topics", options.bag) for topic in options.topics] or list(infos)
     # Other players play the bag's /clock unless it is excluded: it may be named here, too.
-    others = [topic for topic in options.exclude_topics if full_name(topic) != CLOCK]
+    others = [topic for topic in options.exclude_topics if absolute_name(topic) != CLOCK]
     excluded = {_known(topic, infos, "--exclude-topics", options.bag) for topic in others}
     names = {_known(old, infos, "--remap", options.bag): new for old, new in options.remapped().items()}
     profiles = bag.offered_qos()
@@ -107,7 +108,7 @@ def _known(topic: str, infos: Mapping[str, Any], flag: str, bag: str) -> str:
     Raises:
         ConfigError: the bag does not have it, or it is /clock.
     """
-    name = full_name(topic)
+    name = absolute_name(topic)
     if name == CLOCK:
         raise ConfigError(f"{flag} has {CLOCK}, which is not played: --clock publishes the time of the playback")
     if name not in infos:

@@ -32,7 +32,7 @@ LEAST_ALPHA = 1.0 / 255.0
 """Minimum opacity of a splat at a pixel; smaller opacities are ignored."""
 
 _CHUNK = 256
-_REACH = float(np.sqrt(-2.0 * np.log(LEAST_ALPHA)))
+_FADE_SIGMAS = float(np.sqrt(-2.0 * np.log(LEAST_ALPHA)))
 """Radius, in standard deviations, at which an opaque splat has faded to ``LEAST_ALPHA``."""
 _LINEARISED = 1.5
 """Largest ratio of a linearised to the exact projected size, within ``SPREAD`` of a picture of 90 degrees."""
@@ -78,7 +78,7 @@ class SplatChunks:
         """Returns the boxes of the chunks, (C, 6), centre and half extents, metres, with ``factor`` times the radii of their splats."""
         if not len(self):
             return np.zeros((0, 6))
-        reach = (factor * _REACH * self._widths)[:, None]
+        reach = (factor * _FADE_SIGMAS * self._widths)[:, None]
         low = np.minimum.reduceat(self.positions - reach, self._first).astype(np.float64)
         high = np.maximum.reduceat(self.positions + reach, self._first).astype(np.float64)
         return np.concatenate([(low + high) / 2.0, (high - low) / 2.0], axis=1)
@@ -136,12 +136,12 @@ class SplatChunks:
         x, y = p[0] * inverse, p[1] * inverse
         u = x * np.float32(k[0, 0]) + y * np.float32(k[0, 1]) + np.float32(k[0, 2])
         v = y * np.float32(k[1, 1]) + np.float32(k[1, 2])
-        reach = np.float32(_REACH) * self._widths[rows]
+        reach = np.float32(_FADE_SIGMAS) * self._widths[rows]
         low, high = projected_limits(k, *size)
         x, y = np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])
         focal = np.float32(max(abs(k[0, 0]), abs(k[1, 1])))
         # The largest scale of the linearised projection; the low-pass filter adds its width.
-        radius = reach * focal * inverse * np.sqrt(np.float32(1.0) + x * x + y * y) + np.float32(_REACH * LOW_PASS**0.5)
+        radius = reach * focal * inverse * np.sqrt(np.float32(1.0) + x * x + y * y) + np.float32(_FADE_SIGMAS * LOW_PASS**0.5)
         inside = (u + radius >= -0.5) & (u - radius <= size[0] - 0.5) & (v + radius >= -0.5) & (v - radius <= size[1] - 0.5)
         if pyramid is None:
             return np.asarray(inside)

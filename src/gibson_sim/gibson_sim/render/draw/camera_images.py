@@ -292,6 +292,6 @@ def _uniforms(camera: CameraSpec, views: Sequence[PinholeView], places: Sequence
         "u_ray": np.array(rays, dtype=np.float32),
         "u_k": camera.intrinsics().T.astype(np.float32),
         "u_d": np.array((*d, *(0.0,) * 8)[: 8 if camera.projection == "pinhole" else 4], dtype=np.float32),
-        "u_reach": float(limit),
+        "u_limit": float(limit),
         "u_turn_px": float(camera.width) if camera.projection == "equirectangular" else 0.0,
     }

@@ -17,7 +17,7 @@ from gibson_sim.render.culling.draw_plan import PinholePicture
 from gibson_sim.render.draw.screen_pass import FULL_SCREEN, shader_text
 
 F64 = NDArray[np.float64]
-REACH_M = 0.25
+RADIUS_M = 0.25
 """Distance from a box beyond which there is no occlusion, metres."""
 DARKEST = 0.6
 """Fraction of the light that is occluded where a box touches a surface."""
@@ -36,7 +36,7 @@ class SplatContacts:
 
     def __init__(self, context: GlContext) -> None:
         self._gl, self._buffer = GL.Gl(context), 0
-        defines = (f"REACH {REACH_M:.6f}", f"DARKEST {DARKEST:.6f}")
+        defines = (f"RADIUS {RADIUS_M:.6f}", f"DARKEST {DARKEST:.6f}")
         fragment = shader_text("splat_contact.frag", defines, ("splat_view.glsl", "splat_surface.glsl"))
         self._program = context.gl.program(vertex_shader=FULL_SCREEN, fragment_shader=fragment)
         self._program["u_depth"], self._program["u_hiding"] = 0, 1
@@ -114,7 +114,7 @@ def boxes_in(
         (M,) of ``_BOX`` and the rectangle; None if no box affects the picture.
     """
     T_camera_boxes: F64 = invert(picture.T_world_camera) @ T_world_boxes
-    reach = _CORNERS * (half[:, None] + REACH_M)
+    reach = _CORNERS * (half[:, None] + RADIUS_M)
     corners = np.einsum("nij,nkj->nki", T_camera_boxes[:, :3, :3], reach) + T_camera_boxes[:, None, :3, 3]
     k, size = picture.intrinsics, np.array([picture.width, picture.height])
     low, high = np.zeros((len(half), 2)), np.tile(size.astype(np.float64), (len(half), 1))

@@ -19,7 +19,7 @@ from gibson_sim.errors import GraphicsUnavailableError, RenderError
 from gibson_sim.filling.fillers import PushPull
 from gibson_sim.filling.holes import Filler
 from gibson_sim.filling.inputs import CHANNELS
-from gibson_sim.filling.network import MULTIPLE, REACH_PX, GibsonNetwork
+from gibson_sim.filling.network import FADE_PX, MULTIPLE, GibsonNetwork
 from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.draw.screen_pass import shader_text
 from gibson_sim.render.draw.target import RenderTarget
@@ -32,7 +32,7 @@ Level = tuple[int, tuple[int, int]]
 """First element of a level of the pyramid, and its width and height."""
 _GROUP = 8
 """Width and height of a work group."""
-_REACH = int(8.0 * REACH_PX)
+_FADE_LIMIT_PX = int(8.0 * FADE_PX)
 """Distance from holes, pixels, beyond which a correction is below half a step of 255."""
 _BUFFERS = ("codes", "pyramid", "input", "image", "inverse", "distances", "depth", "flags")
 """Buffers by their binding in the shaders."""
@@ -226,8 +226,8 @@ class _Work:
             "u_far": camera.far,
             "u_last": last,
             "u_padded": self._padded,
-            "u_reach": _REACH,
-            "u_reach_px": REACH_PX,
+            "u_fade_limit_px": _FADE_LIMIT_PX,
+            "u_fade_px": FADE_PX,
             "u_has_lens": camera.projection != "pinhole" or bool(camera.distortion),
             "u_blended": camera.samples > 1 or camera.projection != "pinhole" or bool(camera.distortion),
         }

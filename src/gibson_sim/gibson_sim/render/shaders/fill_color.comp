@@ -7,18 +7,18 @@ layout(std430, binding = 5) readonly buffer Distances { float distances[]; };  /
 layout(std430, binding = 7) buffer Flags { uint is_not_finite; };
 
 uniform ivec2 u_padded;
-uniform int u_reach;
-uniform float u_reach_px;  // distance at which a correction has fallen to 1/e
+uniform int u_fade_limit_px;
+uniform float u_fade_px;  // distance at which a correction has fallen to 1/e
 
 const float EPSILON = 1e-5;  // of OpenCV's blendLinear
 
 float share_at(ivec2 pixel) {
     float nearest = 1e12;
-    for (int y = max(pixel.y - u_reach, 0); y <= min(pixel.y + u_reach, canvas().y - 1); ++y) {
+    for (int y = max(pixel.y - u_fade_limit_px, 0); y <= min(pixel.y + u_fade_limit_px, canvas().y - 1); ++y) {
         float across = distances[canvas_index(ivec2(pixel.x, y))], down = float(y - pixel.y);
         nearest = min(nearest, across * across + down * down);
     }
-    return nearest > float(u_reach * u_reach) ? 0.0 : exp(-sqrt(nearest) / u_reach_px);
+    return nearest > float(u_fade_limit_px * u_fade_limit_px) ? 0.0 : exp(-sqrt(nearest) / u_fade_px);
 }
 #else
 uniform int u_last;  // last element of the pyramid: its weight is 0 if no pixel is known

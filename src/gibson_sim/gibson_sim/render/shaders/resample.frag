@@ -26,7 +26,7 @@ uniform float u_d[8];        // k1, k2, p1, p2, k3 to k6
 #else
 uniform float u_d[4];
 #endif
-uniform float u_reach;       // limit of the distortion model: squared distance in the plane z = 1, or angle
+uniform float u_limit;       // limit of the distortion model: squared distance in the plane z = 1, or angle
 uniform float u_turn_px;     // columns of a full turn of an equirectangular image
 layout(location = 3) out vec2 out_flow;
 
@@ -41,13 +41,13 @@ vec2 project(vec3 p) {
     float radial = (1.0 + q * (u_d[0] + q * (u_d[1] + q * u_d[4]))) / (1.0 + q * (u_d[5] + q * (u_d[6] + q * u_d[7])));
     vec2 tangential = vec2(2.0 * u_d[2] * plane.x * plane.y + u_d[3] * (q + 2.0 * plane.x * plane.x),
                            u_d[2] * (q + 2.0 * plane.y * plane.y) + 2.0 * u_d[3] * plane.x * plane.y);
-    plane = p.z > 0.0 && q < u_reach ? plane * radial + tangential : vec2(NOTHING);
+    plane = p.z > 0.0 && q < u_limit ? plane * radial + tangential : vec2(NOTHING);
 #elif defined(FISHEYE)
     float across = length(p.xy);
     float theta = atan(across, p.z);
     float q = theta * theta;
     float radius = theta * (1.0 + q * (u_d[0] + q * (u_d[1] + q * (u_d[2] + q * u_d[3]))));
-    plane = theta <= u_reach ? p.xy * (across > 0.0 ? radius / across : 0.0) : vec2(NOTHING);
+    plane = theta <= u_limit ? p.xy * (across > 0.0 ? radius / across : 0.0) : vec2(NOTHING);
 #else
     plane = vec2(atan(p.x, p.z), atan(p.y, length(p.xz)));
 #endif

@@ -11,7 +11,7 @@ layout(std430, binding = 0) readonly buffer Boxes { Box boxes[]; };
 layout(location = 0) out vec4 out_factor;
 
 const int TAPS = 3;
-const float HEIGHTS[TAPS] = float[](0.2 * REACH, 0.5 * REACH, REACH);
+const float HEIGHTS[TAPS] = float[](0.2 * RADIUS, 0.5 * RADIUS, RADIUS);
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);

@@ -52,8 +52,8 @@ class BaseServo(NamedTuple):
 
     traction: float
     """Maximum force along the floor, as a fraction of the load on the wheels, or on the whole robot if the drive has none."""
-    reach: float
-    """Distance from the base's origin to the wheels, metres: the lever arm of that force; 0 = the robot's radius of gyration."""
+    lever_arm: float
+    """Distance from the base's origin to the wheels, metres, at which that force acts; 0 = the robot's radius of gyration."""
 
 
 class Response(NamedTuple):

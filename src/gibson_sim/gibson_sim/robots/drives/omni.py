@@ -23,10 +23,10 @@ class OmniDrive(Drive):
     """Omnidirectional drive; odometry is the least-squares fit to all wheels."""
 
     def __init__(self, spec: OmniSpec) -> None:
-        reach = sum(math.hypot(*wheel.position) for wheel in spec.wheels) / len(spec.wheels)
+        lever_arm = sum(math.hypot(*wheel.position) for wheel in spec.wheels) / len(spec.wheels)
         joints = [DriveJoint(wheel.joint, is_left=wheel.position[1] > 0.0) for wheel in spec.wheels]
         response = Response(spec.command_delay, spec.slip, spec.turn_slip)
-        super().__init__(joints, spec.max_wheel_torque, servo=BaseServo(spec.traction, reach), response=response)
+        super().__init__(joints, spec.max_wheel_torque, servo=BaseServo(spec.traction, lever_arm), response=response)
         self._spec = spec
         matrix = spec.wheel_matrix()
         self._wheels_from_body = [tuple(row) for row in matrix.tolist()]

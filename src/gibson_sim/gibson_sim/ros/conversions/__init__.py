@@ -4,11 +4,11 @@
 Large arrays are copied once, as bytes: assigning a list or an ndarray to a message field takes tens of milliseconds.
 """
 
+from gibson_sim.bags.stamps import time_from_msg
 from gibson_sim.ros.conversions.basics import (
     header_to_msg,
     pose_from_msg,
     pose_to_msg,
-    time_from_msg,
     time_to_msg,
     transform_to_msg,
     vector_from_msg,

@@ -16,11 +16,6 @@ def time_to_msg(stamp_ns: int) -> Time:
     return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
 
 
-def time_from_msg(msg: Time) -> int:
-    """Returns the time in a message, ns."""
-    return int(msg.sec) * NS_PER_S + int(msg.nanosec)
-
-
 def header_to_msg(stamp_ns: int, frame_id: str) -> Header:
     """Returns a header with the stamp and the frame of the data."""
     return Header(stamp=time_to_msg(stamp_ns), frame_id=frame_id)

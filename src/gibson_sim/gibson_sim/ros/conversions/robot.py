@@ -14,12 +14,13 @@ from sensor_msgs.msg import JointState, LaserScan
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
 from gibson_msgs.msg import CollisionCount as RosCollisionCount, Contact as RosContact, Contacts, GraspState as RosGraspState
+from gibson_sim.bags.stamps import time_from_msg
 from gibson_sim.geometry.transforms import quat_from_rpy
 from gibson_sim.robots.collision_count import CollisionCount
 from gibson_sim.robots.joints.commands import JointCommand, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
 from gibson_sim.robots.joints.grasping import GraspState
 from gibson_sim.robots.joints.servo import ToolTwist
-from gibson_sim.ros.conversions.basics import header_to_msg, time_from_msg, vector_from_msg, vector_to_msg
+from gibson_sim.ros.conversions.basics import header_to_msg, vector_from_msg, vector_to_msg
 from gibson_sim.sensors.lidar import Scan
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Contact, Odometry, Pose, VelocityCommand
 

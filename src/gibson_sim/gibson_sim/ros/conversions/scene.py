@@ -23,6 +23,7 @@ from gibson_msgs.msg import (
     SceneState as RosSceneState,
     Visual as RosVisual,
 )
+from gibson_sim.bags.stamps import time_from_msg
 from gibson_sim.description.shapes import Appearance, Pattern, Shape, ShapeKind, VisualSpec
 from gibson_sim.errors import SceneError
 from gibson_sim.quoting import quoted
@@ -30,7 +31,6 @@ from gibson_sim.ros.conversions.basics import (
     header_to_msg,
     pose_from_msg,
     pose_to_msg,
-    time_from_msg,
     time_to_msg,
     vector_from_msg,
     vector_to_msg,

@@ -9,6 +9,7 @@ from typing import Any
 from rclpy.node import Node
 
 from gibson_msgs.msg import TickDone
+from gibson_sim.bags.stamps import time_from_msg
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.standard.lockstep import CAMERAS
@@ -112,13 +113,13 @@ class ImageGate:
         """Returns the names of the nodes that publish images of a camera on topics with subscribers."""
         node, topics = self._node, names.image_topics(camera.name, camera.outputs)
         publishers = [p for t in topics if node.count_subscribers(t) for p in node.get_publishers_info_by_topic(t)]
-        return frozenset(f"{p.node_namespace.strip('/')}/{p.node_name}".lstrip("/") for p in publishers)
+        return frozenset(names.participant(p.node_namespace, p.node_name) for p in publishers)
 
     def _on_tick_done(self, msg: TickDone) -> None:
         name, was_closed = msg.participant, bool(self._waits_for)
         if msg.event == TickDone.DONE:
             self._has_answered[name] = True
-            if msg.stamp.sec * NS_PER_S + msg.stamp.nanosec == self._stamp_ns:
+            if time_from_msg(msg.stamp) == self._stamp_ns:
                 self._waits_for.discard(name)
         elif msg.event == TickDone.JOIN and msg.after == CAMERAS:
             self._has_answered[name] = False

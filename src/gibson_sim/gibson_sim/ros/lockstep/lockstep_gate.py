@@ -286,7 +286,9 @@ class LockstepGate:
 
     def _participating_nodes(self) -> set[str]:
         """Returns the names of the nodes that publish ``tick_done``."""
-        return {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
+        return {
+            names.participant(p.node_namespace, p.node_name) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)
+        }
 
     def _describe_late(self) -> str:
         """Returns a description of the late participants: what each must do, and the state of its node."""
@@ -308,7 +310,7 @@ class LockstepGate:
         """Returns the state of a node that has not joined: what it is loading, if the same job started it, or whether it exists."""
         if (loading := _loading(name)) is not None:
             return f"it is loading: {loading}"
-        nodes = {f"{namespace.strip('/')}/{node}".lstrip("/") for node, namespace in self._node.get_node_names_and_namespaces()}
+        nodes = {names.participant(namespace, node) for node, namespace in self._node.get_node_names_and_namespaces()}
         return "the node has started, it may be loading" if name in nodes else "no node of this name has been seen yet"
 
     # Discovery
@@ -346,7 +348,7 @@ class LockstepGate:
         after = next((p.after for p in self.core.participants if p.name == name), "")
         topic = names.SCENE_STATE if after == CAMERAS else after
         return any(
-            _full_name(p) == name and self._node_is_matched(p, topic)
+            names.participant(p.node_namespace, p.node_name) == name and self._node_is_matched(p, topic)
             for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)
         )
 
@@ -379,11 +381,6 @@ class LockstepGate:
 def _short_name(node: Node, topic: str) -> str:
     """Returns the full name of a topic, without its leading slash."""
     return str(node.resolve_topic_name(topic)).lstrip("/")
-
-
-def _full_name(info: Any) -> str:
-    """Returns the participant name of an endpoint's node."""
-    return f"{info.node_namespace.strip('/')}/{info.node_name}".lstrip("/")
 
 
 def _ticks(after: str) -> str:

@@ -72,8 +72,3 @@ def parse_values(text: str) -> Any:
         return parse_yaml(text) if text else None
     except TextError as error:
         raise GibsonSimError(f"{quoted(text)}: {error}") from error
-
-
-def full_node_name(node: str) -> str:
-    """Returns the full name of a node, whose first slash may be omitted."""
-    return node if node.startswith("/") else f"/{node}"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from rclpy.action.graph import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
 
+from gibson_sim.config import absolute_name
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.ros.tools.arguments import full_node_name
 from gibson_sim.ros.tools.hints import PHYSICS, RENDER, missing_node
 from gibson_sim.ros.tools.output import print_line, print_names
 from gibson_sim.ros.tools.tool import PATIENCE_S, Tool
@@ -20,7 +20,7 @@ def node_list(tool: Tool) -> None:
 
 def node_info(tool: Tool, node: str, include_hidden: bool = False) -> None:
     """Prints the topics, services and actions of a node, with their types."""
-    full_name = full_node_name(node)
+    full_name = absolute_name(node)
     if not tool.spin_until(PATIENCE_S, lambda: full_name in tool.known_nodes()):
         raise GibsonSimError(missing_node(full_name, tool.known_nodes(), tool.hint("node list")))
     tool.discover(PHYSICS, RENDER)

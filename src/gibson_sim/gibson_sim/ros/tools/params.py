@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 from rcl_interfaces.msg import Parameter as ParameterMessage, ParameterDescriptor, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 
+from gibson_sim.config import absolute_name
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
-from gibson_sim.ros.tools.arguments import full_node_name, parse_values
+from gibson_sim.ros.tools.arguments import parse_values
 from gibson_sim.ros.tools.hints import PHYSICS, RENDER
 from gibson_sim.ros.tools.output import print_line
 from gibson_sim.ros.tools.tool import LIST_PARAMETERS, Tool
@@ -51,7 +52,7 @@ _GUESSES = (
 def param_list(tool: Tool, node: str | None = None) -> None:
     """Prints the parameters of a node, or of all nodes."""
     if node is not None:
-        node_names = [full_node_name(node)]
+        node_names = [absolute_name(node)]
     else:
         tool.discover(PHYSICS, RENDER)  # a node that loads the scene does not respond
         node_names = tool.nodes_with_parameters()
@@ -63,7 +64,7 @@ def param_list(tool: Tool, node: str | None = None) -> None:
 
 def param_get(tool: Tool, node: str, name: str) -> None:
     """Prints the value of a parameter."""
-    value = tool.client.call(f"{full_node_name(node)}/get_parameters", GetParameters.Request(names=[name])).values[:1]
+    value = tool.client.call(f"{absolute_name(node)}/get_parameters", GetParameters.Request(names=[name])).values[:1]
     if not value or value[0].type == ParameterType.PARAMETER_NOT_SET:
         raise _missing_parameter(tool, node, name)
     label, field, _ = _TYPES[value[0].type]
@@ -73,7 +74,7 @@ def param_get(tool: Tool, node: str, name: str) -> None:
 
 def param_set(tool: Tool, node: str, name: str, value: str) -> None:
     """Sets a parameter; the node refuses it if it cannot be changed at run time."""
-    node = full_node_name(node)
+    node = absolute_name(node)
     description = tool.client.call(f"{node}/describe_parameters", DescribeParameters.Request(names=[name]))
     declared = description.descriptors[0] if description.descriptors else ParameterDescriptor()
     if declared.read_only:
@@ -136,6 +137,6 @@ def _missing_parameter(tool: Tool, node: str, name: str) -> GibsonSimError:
     tool.discover()
     others = [other for other in tool.nodes_with_parameters() if name in _parameters(tool, other)]
     hint = f"; {', '.join(others)} has it" if others else ""
-    if not hint and (similar := nearest(name, _parameters(tool, full_node_name(node)))):
+    if not hint and (similar := nearest(name, _parameters(tool, absolute_name(node)))):
         hint = f"; {similar}"
-    return GibsonSimError(f"node {full_node_name(node)} has no parameter {quoted(name)}{hint or '; see `gibson-sim param list`'}")
+    return GibsonSimError(f"node {absolute_name(node)} has no parameter {quoted(name)}{hint or '; see `gibson-sim param list`'}")

@@ -40,6 +40,11 @@ RUN_INFO = "run_info"
 ODOM_FRAME = "odom"
 
 
+def participant(namespace: str, node: str) -> str:
+    """Returns the name of a node in lockstep: its full name without the leading slash."""
+    return f"{namespace.strip('/')}/{node}".lstrip("/")
+
+
 def link_name(name: str) -> str:
     """Returns the link name, which is the tf frame without prefix, of ``<body>/<link>``."""
     return name.rpartition("/")[2]

@@ -13,6 +13,7 @@ from rclpy.node import Node
 
 from gibson_msgs.msg import RunInfo
 from gibson_sim import __version__
+from gibson_sim.processes.processor import processor
 from gibson_sim.ros import conversions
 from gibson_sim.ros.topics import names, qos
 
@@ -38,7 +39,7 @@ def publish_run_info(node: Node, kind: str, config: Any, stamp_ns: int, **facts:
     settings = {f.name: _absolute(f.name, getattr(config, f.name)) for f in fields(config)}
     environment = {
         "machine": platform.machine(),
-        "processor": _processor(),
+        "processor": processor(),
         "system": platform.platform(),
         "python": platform.python_version(),
         **{name: version for name in _PACKAGES if (version := _version(name))},
@@ -69,11 +70,3 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return ""
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.processor())

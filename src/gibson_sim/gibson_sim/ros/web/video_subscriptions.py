@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
-from gibson_sim.sensors.depth_colours import colourise_depth
+from gibson_sim.sensors.false_colours import colourise_depth, colourise_labels
 from gibson_sim.sensors.image_codecs import decode_color, without_exif
 from gibson_sim.types import NS_PER_S
 from gibson_sim.web.videos import Image as PageImage
@@ -192,7 +192,7 @@ def bgr_image(msg: Image, *, is_depth: bool = False) -> NDArray[np.uint8] | None
         if msg.encoding == "mono16":
             grey = pixels[:, :, :1].astype(np.float32) * (255.0 / max(1, int(pixels.max(initial=0))))
             return np.repeat(grey.astype(np.uint8), 3, axis=2)
-        return _labels(pixels[:, :, 0])
+        return colourise_labels(pixels[:, :, 0])
     out = np.zeros((msg.height, msg.width, 3), dtype=np.uint8)
     values = np.nan_to_num(pixels[:, :, :3], nan=0.0, posinf=0.0, neginf=0.0)
     out[:, :, 3 - channels :] = np.clip(127.5 * (values + 1.0), 0, 255)[:, :, ::-1]
@@ -212,11 +212,3 @@ def _converted(msg: Image) -> NDArray[np.uint8] | None:
     elif size == 2.0:
         data = data.reshape(msg.height, msg.width, 2)
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(data, dtype=np.uint8), code), dtype=np.uint8)
-
-
-def _labels(labels: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    n = labels.astype(np.uint32)
-    hashes = (n * np.uint32(2654435761)) >> np.uint32(8)  # Knuth's multiplicative hash: consecutive labels differ in colour
-    colors = np.stack([hashes & 0xFF, (hashes >> 8) & 0xFF, (hashes >> 16) & 0xFF], axis=2).astype(np.uint8)
-    colors[labels == 0] = 0
-    return colors

@@ -13,9 +13,9 @@ from gibson_sim.tasks.ground import Ground
 from gibson_sim.tasks.placing import free_place, no_room, on_floor
 from gibson_sim.tasks.scripts.arm import Arm, Script, Steps, creep, drive, face, pointing, wait
 from gibson_sim.tasks.scripts.doors import (
+    HOLD_DISTANCE,
     LEAVE,
     PULL_SPEED,
-    REACH,
     XY,
     DoorChange,
     Doorway,
@@ -164,14 +164,14 @@ class _OpenDoorScript:
     def _drive_to_handle(self, obs: Observation) -> Steps:
         """Drives to the stance before the handle, and prepares the arm."""
         door, opening, slant = self._door, self._door.opening(obs), self._slant(obs)
-        stance = door.stance(opening, slant, REACH + _FARTHER)
+        stance = door.stance(opening, slant, HOLD_DISTANCE + _FARTHER)
         if obs.distance_to(stance) > 0.1:
             obs = yield from drive(obs, self._driver(obs, stance))
         hand = door.grip(opening, slant)
         obs = yield from face(obs, math.atan2(hand[1] - obs.xy[1], hand[0] - obs.xy[0]))
-        ready = self._arm.reaching(obs, self._ahead(obs, REACH, self._height(obs)), _rotation(obs.yaw))
+        ready = self._arm.reaching(obs, self._ahead(obs, HOLD_DISTANCE, self._height(obs)), _rotation(obs.yaw))
         obs = yield from self._arm.move(obs, ready or self._arm.named("ready"), grasp=False)
-        return (yield from creep(obs, obs.distance_to(hand) - REACH))
+        return (yield from creep(obs, obs.distance_to(hand) - HOLD_DISTANCE))
 
     def _height(self, obs: Observation) -> float:
         """Returns the height of the handle, world frame, metres."""

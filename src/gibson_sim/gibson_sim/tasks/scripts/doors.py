@@ -31,7 +31,7 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 XY = tuple[float, float]
 
-REACH = 0.66
+HOLD_DISTANCE = 0.66
 """Distance from the base to the tool, straight ahead, while a robot holds a handle, metres."""
 PULL_SPEED = 0.12
 """Speed of the handle while it is pulled, m/s."""
@@ -124,10 +124,10 @@ class HingedDoor:
             x, y = x + length * math.cos(angle), y + length * math.sin(angle)
         return x, y
 
-    def stance(self, opening: float, slant: float, reach: float = REACH) -> XY:
-        """Returns the position of the base for grasping the handle, ``reach`` metres from the tool, which it faces."""
+    def stance(self, opening: float, slant: float, distance: float = HOLD_DISTANCE) -> XY:
+        """Returns the position of the base for grasping the handle, ``distance`` metres from the tool, which it faces."""
         (x, y), angle = self.grip(opening, slant), self.towards(opening, slant)
-        return x + reach * math.cos(angle), y + reach * math.sin(angle)
+        return x + distance * math.cos(angle), y + distance * math.sin(angle)
 
     def slant(self, opening: float, tool: XY, base: XY) -> float:
         """Returns the slant of pulling with the base at ``base`` and the tool at ``tool``, radians."""
@@ -314,7 +314,7 @@ def backing_path(door: HingedDoor, slant: float, wide: float, opening: float = 0
         hand = door.hinge[0] + radius * math.cos(bearing), door.hinge[1] + radius * math.sin(bearing)
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = hand[0] - x, hand[1] - y
-        linear = 1.5 * (math.hypot(dx, dy) - REACH)
+        linear = 1.5 * (math.hypot(dx, dy) - HOLD_DISTANCE)
         angular = math.atan2(c * dy - s * dx, c * dx + s * dy)
         x, y, yaw = x + 0.1 * linear * c, y + 0.1 * linear * s, yaw + 0.1 * angular
         if door.slant(opening, hand, (x, y)) < LEAST_SLANT:

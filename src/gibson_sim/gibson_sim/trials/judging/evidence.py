@@ -23,7 +23,7 @@ from gibson_sim.bags.digest_comparison import Tick, TickDigests
 from gibson_sim.bags.plots.run_data import Floor
 from gibson_sim.bags.plots.touches import Touch, TouchFinder, robot_bodies, robot_namespaces
 from gibson_sim.bags.reader import BagReader, TopicInfo
-from gibson_sim.bags.stamps import header_stamp_ns
+from gibson_sim.bags.stamps import time_from_msg
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.standard.requests import CONTROLS
@@ -216,7 +216,7 @@ class _RunDigest:
 
     def add(self, msg: Any) -> None:
         """Adds a gibson_msgs/TickDigest."""
-        digests = TickDigests(header_stamp_ns(msg.header.stamp), tuple(msg.topics), msg.digests)
+        digests = TickDigests(time_from_msg(msg.header.stamp), tuple(msg.topics), msg.digests)
         if digests.is_physics:
             values = tuple(sorted((topic, int(digest)) for topic, digest in digests.values().items()))
             self._ticks[int(msg.epoch), int(msg.step)] = digests.stamp_ns, values
@@ -323,7 +323,7 @@ class _Reading:
             return
         pose = getattr(msg.pose, "pose", msg.pose)
         q = pose.orientation
-        stamp = self._seconds(header_stamp_ns(msg.header.stamp))
+        stamp = self._seconds(time_from_msg(msg.header.stamp))
         row = stamp, pose.position.x, pose.position.y, yaw_from_quat((q.x, q.y, q.z, q.w))
         {"truth": self._rows.truth, "odom": self._rows.odometry, "pose": self._rows.poses}[role].append(row)
 
@@ -341,7 +341,7 @@ class _Reading:
         if msg.type in _TWISTS and msg.name.rpartition("/")[2] == "cmd_vel":
             self._rows.applied += [t] if t >= 0.0 else []
             return
-        stamp_ns = header_stamp_ns(msg.header.stamp)
+        stamp_ns = time_from_msg(msg.header.stamp)
         entry = JournalEntry(stamp_ns, int(msg.step), str(msg.name), bytes(bytearray(msg.data)))
         if entry.kind in CONTROLS:
             self._rows.calls.append(entry)
@@ -359,7 +359,7 @@ class _Reading:
             if parent == "map":
                 self._rows.map_from_odom.append((t, *pose))
             elif t >= 0.0:
-                stamp = self._seconds(header_stamp_ns(transform.header.stamp))
+                stamp = self._seconds(time_from_msg(transform.header.stamp))
                 self._rows.odom_from_base.setdefault(child, []).append((stamp, *pose))
 
     def evidence(self, *, has_journal: bool) -> Evidence:

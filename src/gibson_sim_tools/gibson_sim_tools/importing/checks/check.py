@@ -57,7 +57,7 @@ _INVERTED_SHARE = 0.001
 _DEGENERATE_SHARE, _MIN_DEGENERATE = 0.01, 100
 """Fraction and number of degenerate triangles above which they are a warning."""
 Bools = NDArray[np.bool_]
-_REACH = 1.0
+_NEAR_SCAN = 1.0
 """Distance to scanned floor within which unscanned cells may be floor, m."""
 _MIN_AREA = 0.3
 """Minimum area of a reported piece, m^2."""
@@ -421,7 +421,7 @@ def islands(floor: FloorMap, radius: float) -> tuple[float, ...]:
     areas[0] = 0.0
     largest = int(areas.argmax())
     unknown = ~(floor.floor | floor.occupied)
-    is_near_scan = ndimage.distance_transform_edt(~floor.free) * floor.resolution <= _REACH
+    is_near_scan = ndimage.distance_transform_edt(~floor.free) * floor.resolution <= _NEAR_SCAN
     passable = np.pad(floor.free | (unknown & is_near_scan), 1, constant_values=False)
     clearance = ndimage.distance_transform_edt(passable)[1:-1, 1:-1] * floor.resolution
     joined_labels, _ = ndimage.label(free_cells | (clearance >= radius + floor.resolution * math.sqrt(0.5)))

@@ -82,14 +82,16 @@ class Surface:
         """Unit normals at the sample points, (N, 3)."""
         self._tree = cKDTree(self.points)
         # Around a sample point, up to the next one, the surface is nearer than the point itself: the distance to its plane counts.
-        self._reach = 2.0 * (area / len(self.points)) ** 0.5
+        self._plane_within = 2.0 * (area / len(self.points)) ** 0.5
 
     def nearest(self, positions: F64) -> tuple[F64, NDArray[np.int64]]:
         """Returns the distances, (N,), m, of positions (N, 3) from the surface, and the indices, (N,), of the nearest sample points."""
         point_distances, nearest = self._tree.query(positions)
         plane_distances = np.abs(((positions - self.points[nearest]) * self.normals[nearest]).sum(axis=1))
         distances = np.where(
-            np.sqrt(np.maximum(point_distances**2 - plane_distances**2, 0.0)) <= self._reach, plane_distances, point_distances
+            np.sqrt(np.maximum(point_distances**2 - plane_distances**2, 0.0)) <= self._plane_within,
+            plane_distances,
+            point_distances,
         )
         return distances, np.asarray(nearest, dtype=np.int64)
 
