@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 
-from gibson_sim.config import PhysicsConfig  # noqa: E402
+from gibson_sim.config import SyncSettings  # noqa: E402
 from gibson_sim.ros.lockstep import lockstep_gate  # noqa: E402
 from gibson_sim.ros.lockstep.answer_subscriptions import AnswerSubscriptions  # noqa: E402
 from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate  # noqa: E402
@@ -151,7 +151,7 @@ def test_a_type_that_is_not_installed_is_named(two: Two, monkeypatch: pytest.Mon
 
 
 def gate_of(node: Any, rules: str) -> LockstepGate:
-    return LockstepGate(node, PhysicsConfig(lockstep=True, participants=rules), lambda: None, lambda again: None)
+    return LockstepGate(node, SyncSettings(lockstep=True, participants=rules), lambda: None, lambda again: None)
 
 
 def test_names_of_rules_are_relative_to_the_namespace_of_the_simulation_or_absolute(two: Two) -> None:

@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
-from gibson_sim.config import PhysicsConfig  # noqa: E402
+from gibson_sim.config import SyncSettings  # noqa: E402
 from gibson_sim.ros.lockstep import lockstep_gate  # noqa: E402
 from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate  # noqa: E402
 from gibson_sim.ros.nodes.physics_node import PhysicsNode  # noqa: E402
@@ -74,7 +74,7 @@ class Graph:
 @pytest.mark.parametrize(("after", "topic"), [("odom", "/odom"), (CAMERAS, "/scene_state")])
 def test_a_participant_is_not_matched_before_its_subscription_is(after: str, topic: str) -> None:
     graph = Graph()
-    gate = LockstepGate(graph, PhysicsConfig(), lambda: None, lambda again: None)  # type: ignore[arg-type]
+    gate = LockstepGate(graph, SyncSettings(), lambda: None, lambda again: None)  # type: ignore[arg-type]
     gate.core.join("nav", after)
     assert not gate._is_matched("nav")  # its publishers were discovered first
     graph.listens_to = ["/tf"]
@@ -104,7 +104,7 @@ class Beside:
 def test_time_waits_until_a_join_has_arrived_in_both_contexts() -> None:
     graph, beside = Graph(), Beside()
     graph.listens_to, graph.matched = ["/odom"], {"/odom": 1}
-    gate = LockstepGate(graph, PhysicsConfig(lockstep=True, participants="nav"), lambda: None, lambda again: None)  # type: ignore[arg-type]
+    gate = LockstepGate(graph, SyncSettings(lockstep=True, participants="nav"), lambda: None, lambda again: None)  # type: ignore[arg-type]
     gate.subscribe(beside)  # type: ignore[arg-type]
     joins = TickDone(event=TickDone.JOIN, participant="nav", after="odom")
     gate._on_tick_done(serialize_message(joins))
@@ -132,7 +132,7 @@ def test_a_participant_that_can_join_has_discovered_all_command_subscriptions(ro
 
 def test_a_participant_without_after_is_matched_once_its_known_subscriptions_are() -> None:
     graph = Graph()
-    gate = LockstepGate(graph, PhysicsConfig(), lambda: None, lambda again: None)  # type: ignore[arg-type]
+    gate = LockstepGate(graph, SyncSettings(), lambda: None, lambda again: None)  # type: ignore[arg-type]
     gate.core.join("nav")
     graph.listens_to = ["/tf"]
     assert not gate._is_matched("nav")
@@ -143,7 +143,7 @@ def test_a_participant_without_after_is_matched_once_its_known_subscriptions_are
 @pytest.mark.parametrize("event", [TickDone.JOIN, TickDone.WATCH])
 def test_time_goes_on_without_a_watcher_that_has_gone(event: int, monkeypatch: pytest.MonkeyPatch) -> None:
     graph, beside = Graph(), Beside()
-    gate = LockstepGate(graph, PhysicsConfig(lockstep=True), lambda: None, lambda again: None)  # type: ignore[arg-type]
+    gate = LockstepGate(graph, SyncSettings(lockstep=True), lambda: None, lambda again: None)  # type: ignore[arg-type]
     gate.subscribe(beside)  # type: ignore[arg-type]
     gate._on_tick_done(serialize_message(TickDone(event=event, participant="nav")))
     gate.begin_tick(1, lambda: ())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields
 from typing import Any
 
 import pytest
@@ -20,6 +19,7 @@ from gibson_sim.client_config import DriveConfig, RecordConfig, ReplayConfig, Sn
 from gibson_sim.config import PhysicsConfig, RenderConfig  # noqa: E402
 from gibson_sim.errors import ConfigError  # noqa: E402
 from gibson_sim.ros.nodes.params import config_from_parameters  # noqa: E402
+from gibson_sim.settings import setting_fields  # noqa: E402
 
 pytestmark = pytest.mark.ros
 Make = Callable[..., Node]
@@ -69,8 +69,8 @@ def test_descriptors_state_choices_units_and_read_only_parameters(make: Make) ->
     "cls", [PhysicsConfig, RenderConfig, DriveConfig, RecordConfig, ReplayConfig, SnapshotConfig, TaskConfig]
 )
 def test_every_parameter_of_every_node_is_described_as_it_is_declared(make: Make, cls: type[Any]) -> None:
-    names = [f.name for f in fields(cls)]
-    for f, found in zip(fields(cls), _described(make(), cls, *names), strict=True):
+    names = [f.name for f in setting_fields(cls)]
+    for f, found in zip(setting_fields(cls), _described(make(), cls, *names), strict=True):
         low, high = f.metadata["minimum"], f.metadata["maximum"]
         bounded = isinstance(f.default, (int, float)) and not isinstance(f.default, bool) and float("inf") not in (high, -low)
         ranges = [*found.integer_range, *found.floating_point_range]
@@ -88,7 +88,7 @@ def test_invalid_value_fails_with_the_message_of_the_setting(make: Make) -> None
 
 def test_an_integer_may_stand_for_a_number_with_a_point(make: Make) -> None:
     node = make(rate=2)
-    assert config_from_parameters(node, PhysicsConfig, changeable=("rate",)).rate == 2.0
+    assert config_from_parameters(node, PhysicsConfig, changeable=("rate",)).time.rate == 2.0
     assert node.set_parameters([Parameter("rate", value=3)])[0].successful
 
 

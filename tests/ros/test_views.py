@@ -51,7 +51,7 @@ def world() -> Iterator[PhysicsWorld]:
 
 def test_views_stand_in_scene_and_state_and_on_tf_with_one_stamp(world: PhysicsWorld) -> None:
     node = _Node()
-    config = PhysicsConfig(views="follow,follow:right,top,orbit", view_rate=30.0, camera_rate=15.0, camera_outputs="depth")
+    config = PhysicsConfig.of(views="follow,follow:right,top,orbit", view_rate=30.0, camera_rate=15.0, camera_outputs="depth")
     topics = WorldInterface(node, config, None)  # type: ignore[arg-type]
     topics.publish_scene(world)
     world.step()
@@ -75,14 +75,14 @@ def test_views_stand_in_scene_and_state_and_on_tf_with_one_stamp(world: PhysicsW
 
 
 def test_an_unknown_robot_is_refused_with_the_known_ones(world: PhysicsWorld) -> None:
-    topics = WorldInterface(_Node(), PhysicsConfig(views="follow:middle"), None)  # type: ignore[arg-type]
+    topics = WorldInterface(_Node(), PhysicsConfig.of(views="follow:middle"), None)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="there is no body 'middle'; it can follow: left, right"):
         topics.publish_scene(world)
 
 
 def test_a_view_is_removed_and_added_with_its_target(world: PhysicsWorld, caplog: pytest.LogCaptureFixture) -> None:
     node = _Node()
-    topics = WorldInterface(node, PhysicsConfig(views="top,follow:right"), None)  # type: ignore[arg-type]
+    topics = WorldInterface(node, PhysicsConfig.of(views="top,follow:right"), None)  # type: ignore[arg-type]
     right = world.scene.robots[1]
     for change in (lambda: None, lambda: world.remove("right"), lambda: world.add(right)):
         change()

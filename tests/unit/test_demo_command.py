@@ -59,11 +59,11 @@ def test_the_task_node_and_the_render_node_take_part_in_lockstep_and_both_views_
     job = _plan(args, tmp_path, episode, episode_door(episode), "head_camera")
     assert list(job.configs) == ["task", "record", "render", "physics"]
     physics, task, record = job.configs["physics"], job.configs["task"], job.configs["record"]
-    assert physics.lockstep and physics.participants == "task; render; record" and physics.rate == 0.0
-    assert [float(part) for part in physics.start.split(",")][:2] == pytest.approx(episode.start.position[:2])
+    assert physics.sync.lockstep and physics.sync.participants == "task; render; record" and physics.time.rate == 0.0
+    assert [float(part) for part in physics.world.start.split(",")][:2] == pytest.approx(episode.start.position[:2])
     assert (task.seed, task.baseline, task.scene) == (3, "scripted", "arena")
     assert {"head_camera/image_raw", f"{VIEW}/image_raw"} <= set(record.wanted_topics())
-    (view,) = read_views(physics.views)
+    (view,) = read_views(physics.cameras.views)
     assert (view.camera.name, view.camera.width, view.camera.height, view.camera.rate_hz) == (VIEW, 320, 200, 5.0)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from gibson_sim.cli.launching import CONFIGS, VIEWERS, LaunchPlan, arguments, pl
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.nodes import start
+from gibson_sim.settings import make_settings, setting_fields
 from support.launching import Context, Exit, LaunchFile, Said
 
 ALL_OF_A_FILE = """
@@ -52,9 +52,9 @@ def _parameters(given: LaunchPlan) -> dict[str, dict[str, Any]]:
 def test_every_parameter_of_every_node_is_an_argument_with_its_meaning_and_limits(launch_file: LaunchFile) -> None:
     declared = {action.given[0]: action.options for action in launch_file.of_kind("DeclareLaunchArgument")}
     assert list(declared) == [argument.name for argument in arguments()]
-    settings = [(node, f) for node, cls in CONFIGS.items() for f in fields(cls)]
+    settings = [(node, f) for node, cls in CONFIGS.items() for f in setting_fields(cls)]
     names = [f.name for _, f in settings]
-    settings += [(node, f) for node, cls in VIEWERS.items() for f in fields(cls)]
+    settings += [(node, f) for node, cls in VIEWERS.items() for f in setting_fields(cls)]
     for node, f in settings:
         options = declared.pop(f.name if names.count(f.name) == 1 and node in CONFIGS else f"{node}_{f.name}")
         assert f.metadata["doc"] in options["description"]
@@ -76,8 +76,8 @@ def test_defaults_given_as_text_are_the_defaults() -> None:
     given = _parameters(plan({argument.name: argument.default for argument in arguments()}))
     assert given["render"].pop("use_sim_time") is False
     for node, cls in CONFIGS.items():
-        assert cls(**given[node]) == cls()
-        assert [type(value) for value in given[node].values()] == [type(f.default) for f in fields(cls)]
+        assert make_settings(cls, given[node]) == cls()
+        assert [type(value) for value in given[node].values()] == [type(f.default) for f in setting_fields(cls)]
 
 
 def test_arguments_win_over_every_section_of_a_file_and_the_rest_of_it_stays(params_file: Path) -> None:
@@ -265,6 +265,6 @@ def test_shipped_files_hold_the_defaults(root: Path) -> None:
     for node, cls in CONFIGS.items():
         given = plan({"params_file": str(root / "config" / f"{node}.param.yaml")})
         read = given.sections["/**"]["ros__parameters"]
-        known = {f.name: f.default for f in fields(cls)}
+        known = {f.name: f.default for f in setting_fields(cls)}
         assert {name: value for name, value in read.items() if name not in known or known[name] != value} == {}
-    assert PhysicsConfig().scene == "linden_flat"
+    assert PhysicsConfig().world.scene == "linden_flat"

@@ -11,12 +11,12 @@ from gibson_sim.errors import ConfigError
 
 
 def test_cameras_are_names_separated_by_commas() -> None:
-    assert RenderConfig(cameras="left/camera, right/camera").wanted_cameras() == ("left/camera", "right/camera")
-    assert RenderConfig().wanted_cameras() == ()
+    assert RenderConfig(cameras="left/camera, right/camera").camera_names == ("left/camera", "right/camera")
+    assert RenderConfig().camera_names == ()
 
 
 def test_registrations_are_pairs() -> None:
-    assert RenderConfig(register_depth="a=b, c=d").registrations() == {"a": "b", "c": "d"}
+    assert RenderConfig(register_depth="a=b, c=d").registrations == {"a": "b", "c": "d"}
 
 
 @pytest.mark.parametrize("text", ["a", "a=", "=b", "a=b,c"])
@@ -26,4 +26,4 @@ def test_half_a_pair_is_refused_with_an_example(text: str) -> None:
 
 
 def test_asset_folders_are_pairs(tmp_path: Path) -> None:
-    assert RenderConfig(asset_roots=f"/a/b={tmp_path}").asset_folders() == (("/a/b", str(tmp_path)),)
+    assert RenderConfig(asset_roots=f"/a/b={tmp_path}").asset_folders == (("/a/b", str(tmp_path)),)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Sequence
-from dataclasses import Field, field, fields
-from typing import Any, ClassVar, Literal, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import Field, field, fields, is_dataclass
+from typing import Any, ClassVar, Literal, Protocol, TypeVar
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
@@ -24,6 +24,9 @@ class Settings(Protocol):
     """A frozen dataclass whose fields are created with ``setting``."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+S = TypeVar("S", bound=Settings)
 
 
 def setting(
@@ -51,6 +54,37 @@ def setting(
         default=default,
         metadata={"doc": doc, "unit": unit, "minimum": minimum, "maximum": maximum, "choices": choices, "names": names},
     )
+
+
+def parts_of(cls: type[Settings]) -> dict[str, type[Settings]]:
+    """Returns name -> class of the parts of settings: the fields whose defaults are dataclasses. Settings without parts are one part, ``""``."""
+    kinds: dict[str, type[Any]] = {f.name: type(f.default) for f in fields(cls)}
+    return {name: kind for name, kind in kinds.items() if is_dataclass(kind)} or {"": cls}
+
+
+def setting_fields(cls: type[Settings]) -> tuple[Field[Any], ...]:
+    """Returns the fields of all settings of a class, part by part."""
+    return tuple(f for part in parts_of(cls).values() for f in fields(part))
+
+
+def setting_values(settings: Settings) -> dict[str, Value]:
+    """Returns the values of all settings by name, part by part."""
+    parts = [(getattr(settings, name) if name else settings, kind) for name, kind in parts_of(type(settings)).items()]
+    return {f.name: getattr(part, f.name) for part, kind in parts for f in fields(kind)}
+
+
+def make_settings(cls: type[S], values: Mapping[str, Any]) -> S:
+    """Returns settings with these values by name, whatever part they are in; the others have their defaults.
+
+    Raises:
+        ConfigError: a value is not allowed.
+        TypeError: there is no setting of a name.
+    """
+    rest, parts = dict(values), {}
+    for name, kind in parts_of(cls).items():
+        if name:
+            parts[name] = kind(**{f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest})
+    return cls(**rest, **parts)
 
 
 def check_settings(settings: Settings, kind: str = "setting") -> None:

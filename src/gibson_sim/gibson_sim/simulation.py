@@ -161,12 +161,12 @@ class Simulation:
 
     def __init__(
         self,
-        scene: str | Path | SceneSpec = _DEFAULTS.scene,
-        robot: str | Path | RobotSpec | None = _DEFAULTS.robot,
+        scene: str | Path | SceneSpec = _DEFAULTS.world.scene,
+        robot: str | Path | RobotSpec | None = _DEFAULTS.world.robot,
         *,
         start: str | Sequence[float] = "",
         seed: int = 0,
-        step_hz: int = _DEFAULTS.step_hz,
+        step_hz: int = _DEFAULTS.time.step_hz,
         publish_hz: int | None = None,
         cmd_vel_timeout: float | None = None,
         views: str = "",
@@ -213,7 +213,7 @@ class Simulation:
         self._initial, self._seed, self._device = loaded, seed, device
         if publish_hz is not None and publish_hz < 1:
             raise ConfigError(f"publish_hz is {publish_hz}, must be 1 Hz or more and divide step_hz")
-        usual = _DEFAULTS.publish_hz if step_hz % _DEFAULTS.publish_hz == 0 else step_hz
+        usual = _DEFAULTS.time.publish_hz if step_hz % _DEFAULTS.time.publish_hz == 0 else step_hz
         self._tick_hz = usual if publish_hz is None else publish_hz
         self._view_specs = read_views(views, _view_size(view_size))
         self._renderer: Renderer | None = None

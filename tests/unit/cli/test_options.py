@@ -27,7 +27,7 @@ def test_options_not_given_keep_the_defaults() -> None:
 
 def test_options_reach_the_settings_with_their_types() -> None:
     config = settings_from_args(PhysicsConfig, _parse("--scene", "flat", "--rate", "max", "--step-hz", "480", "--publish-map-tf"))
-    assert (config.scene, config.rate, config.step_hz, config.publish_map_tf) == ("flat", 0.0, 480, True)
+    assert (config.world.scene, config.time.rate, config.time.step_hz, config.topics.publish_map_tf) == ("flat", 0.0, 480, True)
 
 
 def test_invalid_option_fails_with_the_message_of_the_settings() -> None:
@@ -37,10 +37,10 @@ def test_invalid_option_fails_with_the_message_of_the_settings() -> None:
 
 @pytest.mark.parametrize("scene", ["flat", "", "a b", "1.0", "yes", "quote'\"\\", "ä: [x]"])
 def test_node_arguments_carry_any_text_as_text(scene: str) -> None:
-    config = PhysicsConfig(scene=scene)
+    config = PhysicsConfig.of(scene=scene)
     arguments = node_arguments(config)
     values = dict(a.split(":=", 1) for a in arguments if ":=" in a)
-    assert PhysicsConfig(**{name: yaml.safe_load(text) for name, text in values.items()}) == config
+    assert PhysicsConfig.of(**{name: yaml.safe_load(text) for name, text in values.items()}) == config
 
 
 def test_parameter_table_has_a_row_for_every_setting() -> None:

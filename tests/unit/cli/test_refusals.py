@@ -145,7 +145,7 @@ def test_listed_names_of_tasks_baselines_and_drives_exist() -> None:
 def test_drake_directives_with_custom_tags_are_accepted(tmp_path: Path) -> None:
     directives = tmp_path / "room.dmd.yaml"
     directives.write_text("directives:\n- add_weld: {parent: world, child: a, X_PC: {rotation: !Rpy {deg: [0, 0, 90]}}}\n")
-    check_names(PhysicsConfig(scene=str(tmp_path)))
+    check_names(PhysicsConfig.of(scene=str(tmp_path)))
     directives.write_text("directives: [")
     with pytest.raises(SceneError, match=r"room\.dmd\.yaml: is not YAML"):
-        check_names(PhysicsConfig(scene=str(directives)))
+        check_names(PhysicsConfig.of(scene=str(directives)))

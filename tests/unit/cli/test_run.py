@@ -23,7 +23,7 @@ def plan(folder: Path, *argv: str) -> Job:
 def test_drive_sends_a_type_with_a_subscription(cmd_vel_type: str, stamped: bool, tmp_path: Path) -> None:
     job = plan(tmp_path, "--drive", "square", "--cmd-vel-type", cmd_vel_type)
     assert job.configs["drive"].stamped is stamped
-    assert job.configs["physics"].cmd_vel_type == cmd_vel_type
+    assert job.configs["physics"].commands.cmd_vel_type == cmd_vel_type
 
 
 def test_tour_is_planned_in_the_scene_and_for_the_robot_of_the_run(tmp_path: Path) -> None:

@@ -201,7 +201,7 @@ def test_a_fisheye_does_not_look_down_on_a_floor() -> None:
 @pytest.mark.parametrize("size", ["640", "640x", "0x480", "640x480x3", "axb"])
 def test_an_invalid_size_is_refused(size: str) -> None:
     with pytest.raises(ConfigError, match="must be WIDTHxHEIGHT"):
-        PhysicsConfig(view_size=size)
+        PhysicsConfig.of(view_size=size)
 
 
 def test_a_floor_reaches_as_far_as_its_walls_and_not_as_its_lawn() -> None:

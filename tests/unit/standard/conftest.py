@@ -18,7 +18,7 @@ def make() -> Iterator[Callable[..., Simulator]]:
     made: list[Simulator] = []
 
     def simulator(scene: SceneSpec | None = SCENE, **settings: object) -> Simulator:
-        made.append(Simulator(scene, PhysicsConfig(**settings)))  # type: ignore[arg-type]
+        made.append(Simulator(scene, PhysicsConfig.of(**settings)))  # type: ignore[arg-type]
         return made[-1]
 
     yield simulator

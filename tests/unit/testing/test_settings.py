@@ -13,25 +13,26 @@ from gibson_sim.testing.settings import SimulationSettings
 def test_a_test_without_settings_gets_the_flat_in_lockstep_at_full_speed() -> None:
     settings = SimulationSettings.of({})
     physics = settings.physics
-    assert (physics.scene, physics.robot, physics.lockstep, physics.rate, physics.seed) == ("flat", "gibson_bot", True, 0.0, 0)
-    assert physics.participants == "simulation_test"
+    assert (physics.world.scene, physics.world.robot, physics.world.seed) == ("flat", "gibson_bot", 0)
+    assert (physics.sync.lockstep, physics.time.rate) == (True, 0.0)
+    assert physics.sync.participants == "simulation_test"
     assert settings.render is None
 
 
 def test_without_lockstep_time_passes_as_on_a_wall_clock() -> None:
     physics = SimulationSettings.of({"lockstep": False}).physics
-    assert (physics.lockstep, physics.rate, physics.participants) == (False, 1.0, "")
+    assert (physics.sync.lockstep, physics.time.rate, physics.sync.participants) == (False, 1.0, "")
 
 
 def test_time_waits_for_renderer_and_recorder_of_a_test() -> None:
     settings = SimulationSettings.of({"cameras": True, "record": True, "detail_px": 2.0})
-    assert settings.physics.participants == "simulation_test; render; record"
+    assert settings.physics.sync.participants == "simulation_test; render; record"
     assert settings.render is not None and settings.render.detail_px == 2.0
 
 
 def test_contacts_are_reported_at_every_tick() -> None:
-    assert SimulationSettings.of({"publish_hz": 40}).physics.contacts_rate == 40.0
-    assert SimulationSettings.of({"contacts_rate": 10.0}).physics.contacts_rate == 10.0
+    assert SimulationSettings.of({"publish_hz": 40}).physics.topics.contacts_rate == 40.0
+    assert SimulationSettings.of({"contacts_rate": 10.0}).physics.topics.contacts_rate == 10.0
 
 
 def test_a_given_rate_is_kept_for_programs() -> None:

@@ -54,7 +54,7 @@ def test_files_of_a_run_are_named_by_their_place(tmp_path: Path) -> None:
 def test_recorder_keeps_the_images_that_the_scenario_requests(tmp_path: Path) -> None:
     settings = node_settings(scenario_of(record=Recording(images="compressed")), RUN, tmp_path, tmp_path)
     assert settings.record.record_images == "compressed"
-    assert settings.physics.participants.startswith("trial; record; render; ")
+    assert settings.physics.sync.participants.startswith("trial; record; render; ")
 
 
 def test_unknown_setting_of_physics_is_refused(tmp_path: Path) -> None:

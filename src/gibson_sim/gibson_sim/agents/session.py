@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from gibson_sim.agents import tools
 from gibson_sim.agents.folders import Folders
 from gibson_sim.cli.launching import PAGE_VIEWS
+from gibson_sim.config import robots_of
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.processes.environment import node_environment
 from gibson_sim.quoting import clipped, enumerated, quoted
@@ -128,7 +129,7 @@ class AgentSession:
             self._stop()  # it has ended by itself
         if self._simulation is not None:
             raise ConfigError(
-                f"a simulation of {self._simulation.settings.physics.scene} runs already: call stop_simulation first, or reset"
+                f"a simulation of {self._simulation.settings.physics.world.scene} runs already: call stop_simulation first, or reset"
             )
         settings: dict[str, Any] = {"scene": self._folders.name_or_file(tool.scene, list_scenes(), "scene")}
         settings |= {"robot": self._robots(tool.robot), "start": tool.start, "seed": tool.seed, "cameras": tool.cameras}
@@ -152,21 +153,19 @@ class AgentSession:
     def _robots(self, text: str) -> str:
         """Returns the setting ``robot`` with resolved files."""
         known = list_robots()
-        if "=" not in text:
-            return self._folders.name_or_file(text, known, "robot")
-        pairs = [tuple(word.strip() for word in part.partition("=")[::2]) for part in text.split(",")]
-        return ",".join(f"{name}={self._folders.name_or_file(robot, known, 'robot')}" for name, robot in pairs)
+        resolved = ((name, self._folders.name_or_file(robot, known, "robot")) for name, robot in robots_of(text))
+        return ",".join(f"{name}={robot}" if name else robot for name, robot in resolved)
 
     def _stop_simulation(self, tool: tools.StopSimulation) -> dict[str, Any]:
         simulation = self._running()
-        scene, time_s = simulation.settings.physics.scene, round(simulation.time, 4)
+        scene, time_s = simulation.settings.physics.world.scene, round(simulation.time, 4)
         self._stop()
         return {"stopped": scene, "time_s": time_s}
 
     def _get_state(self, tool: tools.GetState) -> dict[str, Any]:
         found: dict[str, Any] = {"simulation": "none", "folders": self._folders.names}
         if self._simulation is not None:
-            found |= {"simulation": "running", "scene": self._simulation.settings.physics.scene, **self._state()}
+            found |= {"simulation": "running", "scene": self._simulation.settings.physics.world.scene, **self._state()}
         elif self._ended:
             found["last_simulation"] = self._ended
         if self._recorder is not None:

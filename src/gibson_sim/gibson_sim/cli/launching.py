@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import Field, dataclass, field, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.reach import REACHES
 from gibson_sim.reading import read_yaml_file
 from gibson_sim.resources import find_config
-from gibson_sim.settings import Value, nearest
+from gibson_sim.settings import Settings, Value, make_settings, nearest, setting_fields, setting_values
 
 CONFIGS: dict[str, type[Any]] = {"physics": PhysicsConfig, "render": RenderConfig}
 """Node that the launch file starts -> settings class."""
@@ -61,12 +61,12 @@ class _Setting:
 
 def _settings() -> dict[str, _Setting]:
     """Returns argument name -> setting; names that several nodes have are prefixed with the name of the node."""
-    names = [f.name for cls in CONFIGS.values() for f in fields(cls)]
+    names = [f.name for cls in CONFIGS.values() for f in setting_fields(cls)]
     return {
         f.name if names.count(f.name) == 1 else f"{node}_{f.name}": _Setting(node, f)
         for node, cls in CONFIGS.items()
-        for f in fields(cls)
-    } | {f"{node}_{f.name}": _Setting(node, f) for node, cls in VIEWERS.items() for f in fields(cls)}
+        for f in setting_fields(cls)
+    } | {f"{node}_{f.name}": _Setting(node, f) for node, cls in VIEWERS.items() for f in setting_fields(cls)}
 
 
 _SETTINGS = _settings()
@@ -193,11 +193,12 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
             values[node].setdefault("views", PAGE_VIEWS)
         settings[node] = {**read, **values[node]}
         try:
-            config = cls(**settings[node])
+            config = make_settings(cls, settings[node])
         except ConfigError as error:
             raise ConfigError(f"{file}: {error}" if _is_invalid(cls, read) else str(error)) from error
         check_names(config)
-        parameters = {name: getattr(config, name) for name in values[node]}
+        checked = setting_values(config)
+        parameters = {name: checked[name] for name in values[node]}
         if node == "render" and "use_sim_time" in given:
             parameters["use_sim_time"] = _value("use_sim_time", given["use_sim_time"], bool)
         starts.append(NodeStart(node, parameters))
@@ -270,7 +271,7 @@ def _with_values(tree: Mapping[Any, Any], values: dict[str, Any]) -> dict[str, A
 def _node_settings(file: Path | None, tree: Mapping[Any, Any], name: list[str]) -> dict[str, Value]:
     """Returns the settings of a node in a file; ``name``: namespaces and name of the node."""
     node = name[-1]
-    known = [f.name for f in fields({**CONFIGS, **VIEWERS}[node])]
+    known = [f.name for f in setting_fields({**CONFIGS, **VIEWERS}[node])]
     settings: dict[str, Value] = {}
     for section, values in _sections(tree):
         if not _matches(section.strip("/").split("/"), name):
@@ -297,10 +298,10 @@ def _matches(pattern: list[str], name: list[str]) -> bool:
     return pattern[0] in ("*", name[0]) and _matches(pattern[1:], name[1:])
 
 
-def _is_invalid(cls: Callable[..., Any], read: Mapping[str, Value]) -> bool:
+def _is_invalid(cls: type[Settings], read: Mapping[str, Value]) -> bool:
     """Returns whether the settings of a file are invalid without the arguments."""
     try:
-        cls(**read)
+        make_settings(cls, read)
     except ConfigError:
         return True
     return False

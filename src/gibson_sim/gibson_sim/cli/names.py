@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.parser import choice_error
+from gibson_sim.config import robots_of
 from gibson_sim.errors import ConfigError, SceneError, TextError
-from gibson_sim.quoting import quoted
 from gibson_sim.resources import find_config, find_scene
-from gibson_sim.settings import Names
+from gibson_sim.settings import Names, setting_fields, setting_values
 
 
 def check_names(config: Any) -> None:
@@ -21,9 +20,10 @@ def check_names(config: Any) -> None:
     Raises:
         GibsonSimError: a named object does not exist or cannot be read.
     """
-    for f in fields(config):
-        value = getattr(config, f.name)
-        if f.metadata["names"] and value:
+    values = setting_values(config)
+    for f in setting_fields(type(config)):
+        value = values[f.name]
+        if f.metadata["names"] and isinstance(value, str) and value:
             _CHECKS[f.metadata["names"]](value)
 
 
@@ -54,21 +54,8 @@ def _check_robots(text: str) -> None:
     from gibson_sim.robots.load import load_robot
 
     with quiet():
-        if "=" not in text:
-            load_robot(text)
-            return
-        names: list[str] = []
-        for part in text.split(","):
-            name, _, robot = (word.strip() for word in part.partition("="))
-            if name and robot:
-                if name in names:
-                    raise ConfigError(f"two robots are named {quoted(name)}; names must be unique")
-                names.append(name)
-                load_robot(robot, name=name)
-            else:
-                raise ConfigError(
-                    f"robot {quoted(part.strip())} must be name=robot where there are several, e.g. left=gibson_bot,right=gibson_bot"
-                )
+        for name, robot in robots_of(text):
+            load_robot(robot, name=name) if name else load_robot(robot)
 
 
 def _check_drive(name: str) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
-from dataclasses import Field, fields
+from dataclasses import Field
 from typing import Any, TypeVar
 
 from gibson_sim.cli.names import check_names
+from gibson_sim.settings import Settings, make_settings, setting_fields
 
-T = TypeVar("T")
+T = TypeVar("T", bound=Settings)
 
 
 _UNITS = {"m": "METRES", "s": "SECONDS", "px": "PIXELS", "N": "NEWTONS"}
@@ -49,7 +50,7 @@ def add_settings(parser: argparse._ActionsContainer, cls: type[Any], names: Iter
         default: what the help names as the default of each option, if it is not that of the class.
     """
     remaining = set(names)
-    for f in fields(cls):
+    for f in setting_fields(cls):
         if f.name not in remaining:
             continue
         remaining.discard(f.name)
@@ -108,7 +109,7 @@ def settings_from_args(cls: type[T], args: argparse.Namespace, **overrides: Any)
     Raises:
         GibsonSimError: a value is not allowed, or refers to an object that does not exist.
     """
-    names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-    config = cls(**{**given(args, names), **overrides})
+    names = [f.name for f in setting_fields(cls)]
+    config = make_settings(cls, {**given(args, names), **overrides})
     check_names(config)
     return config

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gibson_sim.config import robots_of
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.maps.bodies import body_triangles
@@ -47,23 +48,14 @@ def populate(
 
 def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: str = "namespaced") -> SceneSpec:
     """Returns the scene with its robots; the arguments are those of ``populate``."""
-    if not robots.strip():
-        raise ConfigError("robot is empty: name one, such as gibson_bot, or give its file")
-    if "=" not in robots:
-        return place_robot(scene, load_robot(robots), start)
+    entries = robots_of(robots)
+    if not entries[0][0]:
+        return place_robot(scene, load_robot(entries[0][1]), start)
     placed: list[RobotSpec] = []
-    entries = [part.strip() for part in robots.split(",")]
     starts = [part.strip() for part in start.split(";")] if start else []
     if len(starts) > len(entries):
         raise ConfigError(f"start has {len(starts)} places for {len(entries)} robots: {quoted(start)}")
-    for i, entry in enumerate(entries):
-        name, _, kind = (part.strip() for part in entry.partition("="))
-        if not (name and kind):
-            raise ConfigError(
-                f"robot {quoted(entry)} must be name=robot where there are several, e.g. left=gibson_bot,right=gibson_bot"
-            )
-        if any(name == other.name for other in placed):
-            raise ConfigError(f"two robots are named {quoted(name)}; names must be unique")
+    for i, (name, kind) in enumerate(entries):
         robot = in_namespace(load_robot(kind, name=name), name, robot_tf)
         start_text = starts[i] if i < len(starts) else ""
         pose = start_pose(scene, robot, start_text) if start_text else free_start(scene, robot, [other.start for other in placed])

@@ -8,10 +8,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 from gibson_sim.interrupts import held_back
+from gibson_sim.settings import setting_values
 
 PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
 """Environment variable with the id of the process that starts a node; the node ends when that process ends for any reason."""
@@ -41,8 +41,8 @@ def command_of(module: str, *arguments: str) -> list[str]:
 def node_arguments(config: Any) -> list[str]:
     """Returns the ROS arguments that pass settings to a node. Values are JSON, which is valid YAML."""
     arguments = ["--ros-args"]
-    for f in fields(config):
-        arguments += ["-p", f"{f.name}:={json.dumps(getattr(config, f.name))}"]
+    for name, value in setting_values(config).items():
+        arguments += ["-p", f"{name}:={json.dumps(value)}"]
     return arguments
 
 

@@ -41,6 +41,6 @@ def _label_palette() -> NDArray[np.uint8]:
     """Returns the colour of each label, (65536, 3) BGR. All at once: OpenCV rounds the last colours of an array differently."""
     number = np.arange(1 << 16)
     hsv = np.stack([number * 0.61803 % 1.0 * 180.0, 110 + number * 53 % 110, 170 + number * 37 % 80], axis=-1).astype(np.uint8)
-    palette = np.asarray(cv2.cvtColor(hsv[None], cv2.COLOR_HSV2BGR), dtype=np.uint8)[0]
+    palette: NDArray[np.uint8] = cv2.cvtColor(hsv[None], cv2.COLOR_HSV2BGR)[0]
     palette[0] = 0
     return palette

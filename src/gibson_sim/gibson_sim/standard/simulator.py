@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from gibson_sim.config import PhysicsConfig
+from gibson_sim.config import CommandSettings, PhysicsConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.maps.named_poses import NamedPose, named_poses
 from gibson_sim.physics.world import PhysicsWorld
@@ -57,7 +57,7 @@ class Simulator:
         *,
         make_world: Callable[..., PhysicsWorld] = PhysicsWorld,
     ) -> None:
-        """Loads the scene; the state is then PLAYING, or STOPPED with ``config.start_paused``.
+        """Loads the scene; the state is then PLAYING, or STOPPED with ``config.time.start_paused``.
 
         Args:
             scene: scene of the first world; None = no world.
@@ -83,9 +83,9 @@ class Simulator:
         self.last_reset = LastReset()
         """The reset or load that began the newest epoch."""
         if scene is not None:
-            self._enter(scene, uri=worlds.absolute_uri(config.scene))
+            self._enter(scene, uri=worlds.absolute_uri(config.world.scene))
             self.epoch = 0
-            self._state = SimulationState.STOPPED if config.start_paused else SimulationState.PLAYING
+            self._state = SimulationState.STOPPED if config.time.start_paused else SimulationState.PLAYING
 
     @property
     def state(self) -> SimulationState:
@@ -156,7 +156,7 @@ class Simulator:
                 f"scope {scope} is not known; 1 = time, 2 = state, 4 = spawned, their sums, 0 or 255 = all",
             )
         parts = _ALL if scope in (0, EVERYTHING) else ResetScope(scope)
-        rewinds = bool(parts & ResetScope.TIME) and self._config.reset_time == "rewind"
+        rewinds = bool(parts & ResetScope.TIME) and self._config.time.reset_time == "rewind"
         self._steps.clear("reset")
         try:
             if parts == _ALL:
@@ -334,18 +334,18 @@ class Simulator:
         """Creates the world of a scene, with a revision higher than that of all previous scenes."""
         world = self._make_world(
             replace(scene, revision=self._empty.revision + 1),
-            step_hz=self._config.step_hz,
-            cmd_vel_timeout=self._config.cmd_vel_timeout,
-            seed=self._config.seed,
-            grasping=_grasp_settings(self._config),
-            servo=_servo_settings(self._config),
+            step_hz=self._config.time.step_hz,
+            cmd_vel_timeout=self._config.commands.cmd_vel_timeout,
+            seed=self._config.world.seed,
+            grasping=_grasp_settings(self._config.commands),
+            servo=_servo_settings(self._config.commands),
         )
-        if self._config.reset_time == "monotonic":
+        if self._config.time.reset_time == "monotonic":
             world.set_step_count(self._steps_before)
         entry = description_of(uri) if uri else None
         description, tags = (entry.description, entry.tags) if entry is not None else ("", ())
         self._world, self._info = world, WorldInfo(scene.name, uri, text, description, tags)
-        self._population = Population(world, robot_tf=self._config.robot_tf)
+        self._population = Population(world, robot_tf=self._config.world.robot_tf)
         self._first_scene, self._named_poses = world.scene, None
         self._begin_epoch(LastReset(int(_ALL), world.step_count == 0))
 
@@ -369,17 +369,17 @@ class Simulator:
         self.last_reset = reset
 
 
-def _grasp_settings(config: PhysicsConfig) -> GraspSettings:
+def _grasp_settings(commands: CommandSettings) -> GraspSettings:
     """Returns the grasp settings of all grippers; distance in m, forces in N, angle converted to rad."""
     return GraspSettings(
-        cast(GraspMode, config.grasp_mode),  # ``PhysicsConfig`` has checked it
-        config.grasp_distance,
-        config.grasp_force,
-        config.grasp_release_force,
-        math.radians(config.grasp_release_angle_deg),
+        cast(GraspMode, commands.grasp_mode),  # ``CommandSettings`` has checked it
+        commands.grasp_distance,
+        commands.grasp_force,
+        commands.grasp_release_force,
+        math.radians(commands.grasp_release_angle_deg),
     )
 
 
-def _servo_settings(config: PhysicsConfig) -> ServoSettings:
+def _servo_settings(commands: CommandSettings) -> ServoSettings:
     """Returns the settings of the Cartesian servo."""
-    return ServoSettings(config.servo_max_linear, config.servo_max_angular, config.servo_timeout)
+    return ServoSettings(commands.servo_max_linear, commands.servo_max_angular, commands.servo_timeout)

@@ -36,7 +36,7 @@ def plan(values: dict[str, Any], bag: str, folder: Path) -> Job:
         job.configs["render"] = RenderConfig(**{**values["render"], "summary_path": str(folder / "render.json")})
     physics = {**values["physics"], "summary_path": str(folder / "physics.json")}
     physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in required.items())
-    job.configs["physics"] = PhysicsConfig(**physics)
+    job.configs["physics"] = PhysicsConfig.of(**physics)
     return job
 
 

@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gibson_sim.config import robots_of
 from gibson_sim.errors import AlreadyRunningError, ConfigError, GibsonSimError, SceneError
 from gibson_sim.quoting import enumerated, quoted
 from gibson_sim.standard.openings import BLOCKED_S
@@ -116,7 +117,7 @@ class HeadlessSimulation:
                 {robot: self.settings.namespace(robot) for robot in self.settings.robots},
                 name=PARTICIPANT,
                 lockstep=self.settings.lockstep,
-                stamped=self.settings.physics.cmd_vel_type == "stamped",
+                stamped=self.settings.physics.commands.cmd_vel_type == "stamped",
                 check=self._check,
                 waits_for=lambda: self._process.waits_for if self._process is not None else "",
             )
@@ -158,9 +159,9 @@ class HeadlessSimulation:
         if not (math.isfinite(seconds) and seconds > 0):
             raise ConfigError(f"step: seconds is {quoted(seconds)}, must be a number above 0")
         if client.is_paused:
-            client.step(math.ceil(seconds * physics.step_hz - 1e-6), physics.step_hz)
+            client.step(math.ceil(seconds * physics.time.step_hz - 1e-6), physics.time.step_hz)
         elif self.settings.lockstep:
-            for _ in range(math.ceil(seconds * physics.publish_hz - 1e-6)):
+            for _ in range(math.ceil(seconds * physics.time.publish_hz - 1e-6)):
                 client.next_tick()
         else:
             client.catch_up()
@@ -368,7 +369,7 @@ class HeadlessSimulation:
         data = np.asarray(grid.data, dtype=np.int8).reshape(grid.info.height, grid.info.width)
         origin = (grid.info.origin.position.x, grid.info.origin.position.y)
         floor = FloorMap(grid.info.resolution, origin, data > _OCCUPIED, data >= 0)
-        robot = self.settings.physics.robot.split(",")[0].rpartition("=")[2].strip()
+        robot = robots_of(self.settings.physics.world.robot)[0][1]
         radius = load_robot(robot).radius
         return [PathPlanner(floor, radius + clearance) for clearance in _CLEARANCES]
 
@@ -556,10 +557,10 @@ class HeadlessSimulation:
         client = self._running_client
         client.unsubscribe_all()
         if had_programs and not self.settings.has_rate:
-            client.set_rate(self.settings.physics.rate)
+            client.set_rate(self.settings.physics.time.rate)
         client.reset()
-        if client.is_paused != self.settings.physics.start_paused:
-            client.set_playing(not self.settings.physics.start_paused)
+        if client.is_paused != self.settings.physics.time.start_paused:
+            client.set_playing(not self.settings.physics.time.start_paused)
             if not client.is_paused:
                 client.next_tick()
 
@@ -581,7 +582,7 @@ class HeadlessSimulation:
             self._process.stop()
 
     def __repr__(self) -> str:
-        return f"<HeadlessSimulation {self.settings.physics.scene}, ROS domain {self.domain_id}>"
+        return f"<HeadlessSimulation {self.settings.physics.world.scene}, ROS domain {self.domain_id}>"
 
     def __enter__(self) -> HeadlessSimulation:
         return self

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
-from gibson_sim.config import PhysicsConfig, RenderConfig
+from gibson_sim.config import PhysicsConfig, RenderConfig, robots_of
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
-from gibson_sim.settings import nearest
+from gibson_sim.settings import nearest, setting_fields, setting_values
 
 SCENE = "flat"
 """Default scene: the one that loads fastest."""
@@ -55,7 +55,10 @@ class SimulationSettings:
                 "simulation setting 'participants' would make time wait for programs before the test can start them: give each a rule with "
                 'sim.start([...], answers="cmd_vel after scan")'
             )
-        names = {config: [f.name for f in fields(config) if f.name not in _RESERVED] for config in (PhysicsConfig, RenderConfig)}
+        names = {
+            config: [f.name for f in setting_fields(config) if f.name not in _RESERVED]
+            for config in (PhysicsConfig, RenderConfig)
+        }
         for name, value in given.items():
             if name in TEST_SETTINGS:
                 if not isinstance(value, bool):
@@ -81,9 +84,9 @@ class SimulationSettings:
             physics.setdefault("participant_timeout", _FOREVER_S)
         physics["lockstep"] = test_values["lockstep"]
         physics.setdefault("rate", 0.0 if test_values["lockstep"] else 1.0)
-        config = PhysicsConfig(**physics)
+        config = PhysicsConfig.of(**physics)
         if "contacts_rate" not in physics:
-            config = PhysicsConfig(**physics, contacts_rate=float(config.publish_hz))
+            config = PhysicsConfig.of(**physics, contacts_rate=float(config.time.publish_hz))
         return cls(
             config, RenderConfig(**render, digests=True) if test_values["cameras"] else None, test_values["lockstep"], "rate" in given,
             test_values["record"], test_values["fresh"],
@@ -92,15 +95,14 @@ class SimulationSettings:
     @property
     def robots(self) -> tuple[str, ...]:
         """Names of the robots; a single robot is ``robot``."""
-        entries = self.physics.robot.split(",")
-        return tuple(entry.partition("=")[0].strip() for entry in entries) if "=" in self.physics.robot else ("robot",)
+        return tuple(name or "robot" for name, _ in robots_of(self.physics.world.robot))
 
     def namespace(self, robot: str) -> str:
         """Returns the namespace of a robot's topics with a trailing slash; empty for a single robot."""
-        return f"{robot}/" if "=" in self.physics.robot else ""
+        return f"{robot}/" if "=" in self.physics.world.robot else ""
 
     def to_text(self) -> str:
         """Returns the settings for the process of the simulation as JSON."""
         nodes: dict[str, Any] = {"physics": self.physics, **({"render": self.render} if self.render is not None else {})}
-        values = {name: {f.name: getattr(config, f.name) for f in fields(config)} for name, config in nodes.items()}
+        values = {name: setting_values(config) for name, config in nodes.items()}
         return json.dumps({"nodes": values, "record": self.record})

@@ -108,7 +108,7 @@ class _OwnRequests:
         self._in_order = in_order
         self._placed: dict[str, int] = {}
         """Person -> tick of the plan at which the newest of its requests places it."""
-        self._tick_s = 1.0 / float(run.physics.get("publish_hz", PhysicsConfig().publish_hz))
+        self._tick_s = 1.0 / float(run.physics.get("publish_hz", PhysicsConfig().time.publish_hz))
 
     def has(self, entry: JournalEntry) -> bool:
         """Returns whether an entry is a request of the trial; each of those that it makes once counts once."""

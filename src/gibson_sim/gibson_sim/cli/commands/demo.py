@@ -107,13 +107,13 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError(f"--columns is {args.columns}, must be 1 to 100")
     if args.seed < 0:
         raise ConfigError(f"--seed is {args.seed}, must be 0 or more")
-    PhysicsConfig(view_size=args.size)
+    PhysicsConfig.of(view_size=args.size)
 
 
 def _plan(args: argparse.Namespace, folder: Path, episode: Episode, door: HingedDoor, camera: str) -> Job:
     """Returns the job: the simulation, the recorder, and the task node that drives the robot."""
     views = folder / "views.yaml"
-    width, height = PhysicsConfig(view_size=args.size).wanted_view_size()
+    width, height = PhysicsConfig.of(view_size=args.size).cameras.size_of_views
     write_file(views, json.dumps({"cameras": [_view(door, width, height, args.image_rate)]}))
     x, y, _ = episode.start.position
     yaw_deg = math.degrees(yaw_from_quat(episode.start.quat_xyzw))
@@ -131,7 +131,7 @@ def _plan(args: argparse.Namespace, folder: Path, episode: Episode, door: Hinged
         output=str(job.bag), topics=",".join(topics), compression="lz4", summary_path=str(folder / "record.json")
     )
     job.configs["render"] = RenderConfig(cameras=f"{camera},{VIEW}", summary_path=str(folder / "render.json"))
-    job.configs["physics"] = PhysicsConfig(
+    job.configs["physics"] = PhysicsConfig.of(
         scene=args.scene,
         robot=args.robot,
         start=f"{x!r},{y!r},{yaw_deg!r}",

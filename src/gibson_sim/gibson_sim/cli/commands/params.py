@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 from collections.abc import Mapping
-from dataclasses import Field, fields
+from dataclasses import Field
 from typing import Any
 
 from gibson_sim.client_config import NODE_CONFIGS
-from gibson_sim.settings import limits_of
+from gibson_sim.settings import limits_of, parts_of, setting_fields
 
 
 def add_parser(subparsers: Any) -> None:
@@ -29,15 +30,18 @@ def run(args: argparse.Namespace) -> int:
 
 
 def markdown(configs: Mapping[str, type[Any]] = NODE_CONFIGS) -> str:
-    """Returns one Markdown table per node."""
+    """Returns a Markdown table per node, or per part of its settings."""
     parts = []
     for node, cls in configs.items():
-        rows = ["| parameter | type | default | allowed | meaning |", "|---|---|---|---|---|"]
-        rows += [
-            f"| `{f.name}` | {type(f.default).__name__} | `{f.default!r}` | {allowed(f)} | {f.metadata['doc']} |"
-            for f in fields(cls)
-        ]
-        parts.append(f"### `{node}`\n\n" + "\n".join(rows) + "\n")
+        parts.append(f"### `{node}`\n")
+        for part in parts_of(cls).values():
+            title = [] if part is cls else [f"**{inspect.getdoc(part)}**", ""]
+            rows = ["| parameter | type | default | allowed | meaning |", "|---|---|---|---|---|"]
+            rows += [
+                f"| `{f.name}` | {type(f.default).__name__} | `{f.default!r}` | {allowed(f)} | {f.metadata['doc']} |"
+                for f in setting_fields(part)
+            ]
+            parts.append("\n".join([*title, *rows]) + "\n")
     return "\n".join(parts)
 
 
@@ -46,7 +50,7 @@ def text(configs: Mapping[str, type[Any]] = NODE_CONFIGS) -> str:
     lines = []
     for node, cls in configs.items():
         lines.append(node)
-        for f in fields(cls):
+        for f in setting_fields(cls):
             limits = allowed(f)
             lines.append(f"  {f.name} = {f.default!r}{f'  ({limits})' if limits else ''}\n      {f.metadata['doc']}")
     return "\n".join(lines) + "\n"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from gibson_sim.cli.parser import ExitCode
 from gibson_sim.client_config import RecordConfig, ReplayConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, RecordError
+from gibson_sim.settings import setting_fields
 
 _PHYSICS = ("scene", "robot", "start", "rate", "seed", "randomise", "randomise_seed", "views", "participant_timeout")
 _RENDER = ("egl_device", "egl_uuid", "egl_library", "cameras", "asset_roots", "cache")
@@ -119,21 +119,21 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
         "wait_for": ",".join(f"{topic}:{count}" for topic, count in waits.items()),
         "summary_path": str(folder / "physics.json"),
     }
-    config = PhysicsConfig(**physics)
+    config = PhysicsConfig.of(**physics)
     check_names(config)
     job.configs["replay"] = ReplayConfig(
         bag=args.bag,
         lockstep=lockstep,
         verify=args.verify,
         images=render,
-        step_hz=config.step_hz,
-        publish_hz=config.publish_hz,
+        step_hz=config.time.step_hz,
+        publish_hz=config.time.publish_hz,
         summary_path=str(folder / "replay.json"),
     )
     job.configs["physics"] = config
     if render:  # stopped last, since time waits for it and physics would warn
         drawn = _settings(RenderConfig, facts.settings.get("render", {}), args, _RENDER)
-        drawn = {**drawn, "digests": config.digests, "summary_path": str(folder / "render.json")}
+        drawn = {**drawn, "digests": config.topics.digests, "summary_path": str(folder / "render.json")}
         job.configs["render"] = RenderConfig(**drawn)
     return job
 
@@ -144,7 +144,7 @@ def _settings(cls: type[Any], recorded: Mapping[str, Any], args: argparse.Namesp
     Raises:
         ConfigError: the bag has a setting unknown to this version.
     """
-    known = {f.name for f in fields(cls)}
+    known = {f.name for f in setting_fields(cls)}
     unknown = sorted(recorded.keys() - known)
     if unknown:
         raise ConfigError(

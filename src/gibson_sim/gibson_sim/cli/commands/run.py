@@ -209,17 +209,19 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
     elif args.video or args.snapshot:
         raise ConfigError("--no-render makes no images: leave it out, or leave out --video and --snapshot")
-    if physics_config.lockstep:
+    if physics_config.sync.lockstep:
         ours = ["drive"] * bool(args.drive) + ["render"] * (not args.no_render) + ["record"] * bool(job.bag)
-        physics["participants"] = "; ".join(filter(None, (*ours, physics_config.participants)))
+        physics["participants"] = "; ".join(filter(None, (*ours, physics_config.sync.participants)))
     physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in waits.items())
     job.configs["physics"] = config = settings_from_args(PhysicsConfig, args, **physics)
     drive = f"the drive {args.drive} commands the robot" if args.drive else ""
-    ends = [f"after {config.duration:g} s of simulation time"] * bool(config.duration) + ["at the end of the drive"] * bool(drive)
+    ends = [f"after {config.time.duration:g} s of simulation time"] * bool(config.time.duration) + [
+        "at the end of the drive"
+    ] * bool(drive)
     ends += ["when the images are written"] * bool(args.snapshot)
     web = job.configs.get("web")
     taken_port = WebConfig().port if web and not web.port and args.web_port is None else 0
-    job.hints = Hints(domain, drive, f"{', '.join(ends)} or Ctrl-C" if ends else "Ctrl-C", config.start_paused, taken_port)
+    job.hints = Hints(domain, drive, f"{', '.join(ends)} or Ctrl-C" if ends else "Ctrl-C", config.time.start_paused, taken_port)
     return job
 
 
@@ -243,15 +245,15 @@ def _foxglove_settings(args: argparse.Namespace) -> FoxgloveConfig:
 
 def _drive_settings(args: argparse.Namespace, physics: PhysicsConfig, subscribers: int) -> DriveConfig:
     """Returns the settings of the drive: a tour as long as the duration allows, with a command type that the robot accepts."""
-    given: dict[str, Any] = {"subscribers": subscribers, "scene": physics.scene, "robot": physics.robot}
+    given: dict[str, Any] = {"subscribers": subscribers, "scene": physics.world.scene, "robot": physics.world.robot}
     if args.drive == "keyboard":
         raise ConfigError("--drive keyboard needs the terminal: run `gibson-sim drive keyboard` in a second one")
     config = settings_from_args(DriveConfig, args)
     if args.duration and args.length is None and args.drive == "tour":
         given["length"] = max(1.0, args.duration * config.linear)
-    if physics.cmd_vel_type == "stamped":
+    if physics.commands.cmd_vel_type == "stamped":
         given["stamped"] = True
-    elif physics.cmd_vel_type == "twist" and config.stamped:
+    elif physics.commands.cmd_vel_type == "twist" and config.stamped:
         raise ConfigError("--stamped sends TwistStamped, which --cmd-vel-type twist does not receive: leave one of them out")
     return settings_from_args(DriveConfig, args, **given)
 

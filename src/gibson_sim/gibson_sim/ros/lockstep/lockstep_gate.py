@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.bags.stamps import stamp_ns
-from gibson_sim.config import PhysicsConfig
+from gibson_sim.config import SyncSettings
 from gibson_sim.errors import LockstepError
 from gibson_sim.processes.job_folder import STATUS, note_of_job
 from gibson_sim.quoting import quoted
@@ -54,7 +54,7 @@ class LockstepGate:
     def __init__(
         self,
         node: Node,
-        config: PhysicsConfig,
+        settings: SyncSettings,
         on_open: Callable[[], None],
         publish_again: Callable[[bool], None],
         is_command: Callable[[str], bool] = lambda topic: False,
@@ -63,7 +63,7 @@ class LockstepGate:
 
         Args:
             node: the physics node.
-            config: settings of the node.
+            settings: settings of the node.
             on_open: called when a tick is done.
             publish_again: called with False to republish the state of the present tick, for a participant that rejoined, or with True to
                 republish the whole tick, for one without lockstep support.
@@ -72,9 +72,9 @@ class LockstepGate:
         Raises:
             ConfigError: setting ``participants`` does not match the syntax.
         """
-        self.core = Lockstep([rule.resolved(partial(_short_name, node)) for rule in parse_participants(config.participants)])
+        self.core = Lockstep([rule.resolved(partial(_short_name, node)) for rule in parse_participants(settings.participants)])
         self._answers = AnswerSubscriptions(node, self.core.received_topics, self._receive, is_command)
-        self._node, self._config, self._on_open, self._publish_again = node, config, on_open, publish_again
+        self._node, self._settings, self._on_open, self._publish_again = node, settings, on_open, publish_again
         self._in_namespace = node.get_namespace() != "/"
         self._started_ns = time.monotonic_ns()
         self._reported_ns = self._republished_ns = 0
@@ -149,11 +149,11 @@ class LockstepGate:
     def may_step(self) -> bool:
         """Returns whether the next tick may begin; logs late participants, and sets ``failure`` when one has timed out."""
         core, now_ns = self.core, time.monotonic_ns()
-        timeout_s, opened_ns = max(JOIN_TIMEOUT_S, self._config.participant_timeout), self._started_ns
+        timeout_s, opened_ns = max(JOIN_TIMEOUT_S, self._settings.participant_timeout), self._started_ns
         self._answers.find(now_ns, again=core.any_idle)
         if not core.missing:
             if not core.is_open:
-                timeout_s, opened_ns = self._config.participant_timeout, now_ns - core.waited_ns(now_ns)
+                timeout_s, opened_ns = self._settings.participant_timeout, now_ns - core.waited_ns(now_ns)
                 self._republish_tick(now_ns)
                 self._idle_silent(now_ns)
                 self._lose_first_commands(now_ns)
@@ -246,7 +246,7 @@ class LockstepGate:
 
     def _time_out(self, waited_ns: int, now_ns: int) -> bool:
         problem = f"lockstep: timed out after {waited_ns / NS_PER_S:.1f} s, waiting for {self._describe_late()}"
-        if self.core.missing or self._config.on_timeout == "stop":
+        if self.core.missing or self._settings.on_timeout == "stop":
             self.failure = LockstepError(
                 f"{problem}: the run ends. Fix it, raise 'participant_timeout', or set 'on_timeout' to go_on to continue without its answer"
             )

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import Field, fields
+from dataclasses import Field
 from typing import Any, Protocol, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
-from gibson_sim.settings import limits_of
+from gibson_sim.settings import Settings, limits_of, make_settings, setting_fields
 
-T = TypeVar("T")
+T = TypeVar("T", bound=Settings)
 
 
 class HasParameters(Protocol):
@@ -32,9 +32,9 @@ def config_from_parameters(node: HasParameters, cls: type[T], *, changeable: tup
     Raises:
         ConfigError: a value has the wrong type or is not allowed.
     """
-    settings = fields(cls)  # type: ignore[arg-type]
+    settings = setting_fields(cls)
     unlimited = {f.name: ParameterDescriptor(dynamic_typing=True) for f in settings}
-    config = cls(**{f.name: node.declare_parameter(f.name, f.default, unlimited[f.name]).value for f in settings})
+    config = make_settings(cls, {f.name: node.declare_parameter(f.name, f.default, unlimited[f.name]).value for f in settings})
     for f in settings:
         node.set_descriptor(f.name, descriptor_of(f, changeable=f.name in changeable))
     return config

@@ -80,26 +80,27 @@ class PhysicsNode(Node):
         self._sim_services: SimulationServices | None = None
         self._config = config = config_from_parameters(self, PhysicsConfig, changeable=("rate",))
         self.add_on_set_parameters_callback(self._on_parameters)
-        scene = populate(config.scene, config.robot, config.start, sdf_lamps=config.sdf_lamps, robot_tf=config.robot_tf)
-        rules = load_rules(find_config(config.randomise, "randomisation")) if config.randomise else None
+        world = config.world
+        scene = populate(world.scene, world.robot, world.start, sdf_lamps=world.sdf_lamps, robot_tf=world.robot_tf)
+        rules = load_rules(find_config(world.randomise, "randomisation")) if world.randomise else None
         self._guard = SingleSimulationGuard(self)
         self._guard.acquire()
         self._simulator = Simulator(scene, config)
-        ticks_at_once = _LOCKSTEP_TICKS_AT_ONCE if config.lockstep else 1
-        self._pacer = Pacer(config.step_hz, config.rate, burst=ticks_at_once * config.step_hz // config.publish_hz)
-        self._stamped = StampedCommands(self) if config.cmd_vel_type == "both" else None
+        ticks_at_once = _LOCKSTEP_TICKS_AT_ONCE if config.sync.lockstep else 1
+        self._pacer = Pacer(config.time.step_hz, config.time.rate, burst=ticks_at_once * config.time.steps_per_tick)
+        self._stamped = StampedCommands(self) if config.commands.cmd_vel_type == "both" else None
         self._incompatible = IncompatiblePublishers(self, self._stamped)
         self._journal = Journal(self, self._simulator, self._on_command_received)
-        self._digests = DigestPublisher(self) if config.digests else None
+        self._digests = DigestPublisher(self) if config.topics.digests else None
         self._world_topics = WorldInterface(self, config, rules)
         self._robots: dict[str, RobotInterface] = {}
-        self._objects = ObjectJoints(self, config, self._on_command_received)
+        self._objects = ObjectJoints(self, config.time.publish_hz, self._on_command_received)
         self._gate: LockstepGate | None = None
         self._images: ImageGate | None = None
-        if config.lockstep:
-            self._gate = LockstepGate(self, config, self._on_gate_open, self._publish_again, self._is_command)
-        elif config.image_timeout:
-            self._images = ImageGate(self, config.image_timeout, self._on_gate_open, self._publish_again)
+        if config.sync.lockstep:
+            self._gate = LockstepGate(self, config.sync, self._on_gate_open, self._publish_again, self._is_command)
+        elif config.sync.image_timeout:
+            self._images = ImageGate(self, config.sync.image_timeout, self._on_gate_open, self._publish_again)
         self._ticks = TickPublisher(
             self,
             config,
@@ -112,8 +113,8 @@ class PhysicsNode(Node):
             self._images,
         )
         if self._images is not None:
-            self._images.enable(config.rate == 0.0)
-        self._stats = PhysicsStats(self, config, self._simulator, self._pacer, self._journal, self._gate)
+            self._images.enable(config.time.rate == 0.0)
+        self._stats = PhysicsStats(self, config.time.step_hz, self._simulator, self._pacer, self._journal, self._gate)
         self._published: tuple[PhysicsWorld | None, int] = (None, -1)
         """World and scene revision that were published last."""
         self._published_epoch = -1
@@ -124,7 +125,9 @@ class PhysicsNode(Node):
             self._gate.subscribe(self._stamped)
         # After all other subscriptions, as run_info after all other publishers: DDS announces either in the order of their creation, so
         # that a program which discovers both knows the whole node.
-        self._sim_services = SimulationServices(self, self.simulator, config.service_prefix, self._journal, config.lockstep)
+        self._sim_services = SimulationServices(
+            self, self.simulator, config.topics.service_prefix, self._journal, config.sync.lockstep
+        )
         note_in_job(LOADED, loaded_note(self.simulator.scene, self._world_topics.cameras))
         spec = self.simulator.scene
         self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)
@@ -142,12 +145,12 @@ class PhysicsNode(Node):
         for parameter in parameters:
             if parameter.name == "rate":
                 try:
-                    self._config = replace(self._config, rate=parameter.value)
+                    self._config = replace(self._config, time=replace(self._config.time, rate=parameter.value))
                 except ConfigError as error:
                     return SetParametersResult(successful=False, reason=str(error))
-                self._pacer.set_rate(self._config.rate)
+                self._pacer.set_rate(self._config.time.rate)
                 if self._images is not None:
-                    self._images.enable(self._config.rate == 0.0)
+                    self._images.enable(self._config.time.rate == 0.0)
                 self._set_timer()
                 request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
                 self._journal.entry(self.resolve_service_name("~/set_parameters"), request, timing_only=True)()
@@ -245,7 +248,7 @@ class PhysicsNode(Node):
             if self._gate is not None:
                 if self._gate.failure is not None:
                     raise self._gate.failure
-                if self._gate.core.is_open and not self._config.rate:
+                if self._gate.core.is_open and not self._config.time.rate:
                     self._iterate()  # a request may have started time
         self._end_last_tick(executor)
         return 0
@@ -268,8 +271,8 @@ class PhysicsNode(Node):
         """Sets the timer of the loop for the present rate."""
         if self._timer is not None:
             self.destroy_timer(self._timer)
-        rate = self._config.rate
-        period = min(1.0 / (self._config.clock_hz * rate), 0.01) if rate else 1e-5
+        rate = self._config.time.rate
+        period = min(1.0 / (self._config.time.clock_hz * rate), 0.01) if rate else 1e-5
         if self._gate is not None and not rate:
             period = 0.02  # the gate wakes the loop when it opens; a shorter period would take CPU time from the participants
         self._timer = self.create_timer(period, self._iterate, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -287,7 +290,7 @@ class PhysicsNode(Node):
             self._publish_changes()
             self._apply_scheduled()
             due = simulator.steps_due(self._pacer.due(now_ns))
-            remaining = self._execute_pipelined(now_ns, due) if self._config.pipelined else self._execute_steps(now_ns, due)
+            remaining = self._execute_pipelined(now_ns, due) if self._config.sync.pipelined else self._execute_steps(now_ns, due)
             if remaining and simulator.state is SimulationState.PLAYING:
                 self._pacer.return_unused(remaining)
         if images is not None and self._timer is not None and images.is_open == self._timer.is_canceled():
@@ -396,7 +399,7 @@ class PhysicsNode(Node):
     def _end_step(self, stamp_ns: int) -> None:
         """Counts a published step, and ends the run once ``duration`` has passed."""
         self._stats.end_step(stamp_ns)
-        self._done = bool(self._config.duration) and stamp_ns >= self._config.duration * NS_PER_S
+        self._done = bool(self._config.time.duration) and stamp_ns >= self._config.time.duration * NS_PER_S
 
     @property
     def _stamp_ns(self) -> int:
@@ -405,7 +408,7 @@ class PhysicsNode(Node):
 
     def _wait_for_subscribers(self, executor: Executor) -> None:
         """Waits until the nodes of ``wait_for`` are matched, so that none misses the start."""
-        subscribers, cameras = self._config.wanted_subscribers(), self._world_topics.cameras
+        subscribers, cameras = dict(self._config.sync.required_subscribers), self._world_topics.cameras
         images = [names.camera_topics(camera.name)[output] for camera in cameras for output in camera.outputs]
         subscribers.update(dict.fromkeys(images, subscribers.pop("cameras", 0)))
         page = subscribers.pop("page", 0)
@@ -420,7 +423,7 @@ class PhysicsNode(Node):
         wait_for_peers(self, executor, subscribers, conditions, *(() if self._gate is None else (self._gate.discover,)))
 
     def _report(self) -> None:
-        self._stats.publish(self._stamp_ns, self._config.rate, self._robots.values())
+        self._stats.publish(self._stamp_ns, self._config.time.rate, self._robots.values())
 
     def close(self) -> None:
         """Writes the summary and frees the world."""
@@ -431,7 +434,7 @@ class PhysicsNode(Node):
             self._stamped.close()
             self._stamped = None
         if self._simulator is not None:
-            write_summary(self._config.summary_path, self._stats.summary(self._robots.values()))
+            write_summary(self._config.topics.summary_path, self._stats.summary(self._robots.values()))
             self._simulator.close()
             self._simulator = None
         if self._guard is not None:

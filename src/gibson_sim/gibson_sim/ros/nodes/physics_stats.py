@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from gibson_sim.config import PhysicsConfig
 from gibson_sim.processes.job_folder import STATUS, note_in_job
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.journal import Journal
@@ -33,9 +32,9 @@ class PhysicsStats:
     """
 
     def __init__(
-        self, node: Node, config: PhysicsConfig, simulator: Simulator, pacer: Pacer, journal: Journal, gate: LockstepGate | None
+        self, node: Node, step_hz: int, simulator: Simulator, pacer: Pacer, journal: Journal, gate: LockstepGate | None
     ) -> None:
-        self._config, self._simulator, self._pacer, self._journal, self._gate = config, simulator, pacer, journal, gate
+        self._step_hz, self._simulator, self._pacer, self._journal, self._gate = step_hz, simulator, pacer, journal, gate
         self._first_step: tuple[int, int] | None = None
         self._last_step, self._last_report = (0, 0), (0, 0)
         self._earlier_ns = 0
@@ -130,7 +129,7 @@ class PhysicsStats:
             "wall_time_s": wall_s,
             "real_time_factor": sim_s / wall_s if wall_s else 0.0,
             "physics_steps": 0 if world is None else world.step_count,
-            "step_hz": self._config.step_hz,
+            "step_hz": self._step_hz,
             "lost_wall_time_s": self._pacer.lost_ns / NS_PER_S,
             **_commands(robots, self._earlier_commands),
             "missed_measurements": {robot.robot.name: robot.sensors.misses for robot in robots},

@@ -119,7 +119,7 @@ class RenderNode(Node):
     def _on_scene(self, msg: Scene) -> None:
         """Loads the scene, then subscribes to the state: the subscription shows that this node is ready to render."""
         try:
-            scene, warnings = with_local_files(conversions.scene_from_msg(msg), self._config.asset_folders())
+            scene, warnings = with_local_files(conversions.scene_from_msg(msg), self._config.asset_folders)
             self._load(scene, warnings)
         except GibsonSimError as error:
             if self._state_subscription is None:
@@ -185,7 +185,7 @@ class RenderNode(Node):
         """Creates the publishers of new cameras, keeps those of unchanged cameras, and destroys the others."""
         by_name = {camera.name: camera for camera in scene.cameras}
         self._refused = {name: camera for name, camera in self._refused.items() if by_name.get(name) == camera}
-        requested, registrations = self._config.wanted_cameras(), self._config.registrations()
+        requested, registrations = self._config.camera_names, self._config.registrations
         try:
             self._config.check_cameras(tuple(by_name))
         except ConfigError as error:

@@ -181,7 +181,7 @@ class _Rendering:
     def _floor_of(self, scene: DrawnScene) -> FloorExtent:
         """Returns the extent of the floor, which is computed once."""
         if self._floor is None:
-            self._floor = extent_of_drawn(with_local_files(scene, self._render.asset_folders())[0], self._first_height())
+            self._floor = extent_of_drawn(with_local_files(scene, self._render.asset_folders)[0], self._first_height())
         return self._floor
 
     def _first_height(self) -> float | None:
@@ -212,7 +212,7 @@ class _Rendering:
         cameras = {camera.name: camera for scene in self._recorded.values() for camera in self._cameras_of(scene)}
         if not cameras:
             raise ConfigError(f"bag {self._bag.folder} has no cameras; add some with --cameras")
-        registrations = self._render.registrations()
+        registrations = self._render.registrations
         for name in {*registrations, *registrations.values()} - set(cameras):
             raise ConfigError(f"setting 'register_depth' names camera {quoted(name)}; there are: {', '.join(cameras)}")
         return {
@@ -350,7 +350,7 @@ class _Rendering:
 
     def _load(self, queue: BagQueue, scene: DrawnScene, stamp_ns: int, log_ns: int) -> None:
         """Loads a scene, or the changes of a loaded one."""
-        local, warnings = with_local_files(self._with_settings(scene), self._render.asset_folders())
+        local, warnings = with_local_files(self._with_settings(scene), self._render.asset_folders)
         if self._renderer is None:
             self._renderer = open_renderer(local, self._render)
             self._frame_history = FrameHistory(self._renderer)

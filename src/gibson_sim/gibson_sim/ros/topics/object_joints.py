@@ -10,7 +10,6 @@ from typing import Any
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from gibson_sim.config import PhysicsConfig
 from gibson_sim.description.urdf_model import UrdfJoint
 from gibson_sim.errors import CommandError
 from gibson_sim.physics.world import PhysicsWorld
@@ -38,9 +37,9 @@ class ObjectJoints:
             ``position``, ``velocity`` and, if the joint has limits, ``lower`` and ``upper`` of each joint, rad or m.
     """
 
-    def __init__(self, node: Node, config: PhysicsConfig, on_received: Callable[[str], None]) -> None:
-        """Creates the topics; ``on_received`` is called with the topic of each command."""
-        self._node, self._config, self._on_received = node, config, on_received
+    def __init__(self, node: Node, publish_hz: int, on_received: Callable[[str], None]) -> None:
+        """Creates the topics; ``publish_hz`` is the rate of ticks, ``on_received`` is called with the topic of each command."""
+        self._node, self._publish_hz, self._on_received = node, publish_hz, on_received
         self._topic = node.resolve_topic_name(names.OBJECT_JOINT_COMMAND)
         self._received: deque[Any] = deque(maxlen=qos.MAX_COMMANDS)
         self._due: deque[Any] = deque(maxlen=qos.MAX_COMMANDS)
@@ -101,8 +100,8 @@ class ObjectJoints:
         """Publishes the joint states if they are due at ``tick``, which counts at ``publish_hz``; None = the scene has changed."""
         if self._publisher is None:
             return
-        rate = min(RATE_HZ, self._config.publish_hz)
-        if tick is None or (self._publisher.get_subscription_count() and is_due(tick, rate, self._config.publish_hz)):
+        rate = min(RATE_HZ, self._publish_hz)
+        if tick is None or (self._publisher.get_subscription_count() and is_due(tick, rate, self._publish_hz)):
             self._publisher.publish(self._message(world))
 
     def _message(self, world: PhysicsWorld) -> Any:

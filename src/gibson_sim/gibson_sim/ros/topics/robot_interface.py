@@ -33,7 +33,7 @@ from gibson_sim.sensors.imu import ImuReading
 from gibson_sim.sensors.suite import Measurements, SensorSuite
 from gibson_sim.types import WORLD_FRAME, SceneState
 
-Published = list[tuple[Publisher, bytes]]
+_Published = list[tuple[Publisher, bytes]]
 """Serialized messages, each with the publisher that has sent it."""
 
 
@@ -84,7 +84,7 @@ class RobotInterface:
         self._odom_frame = f"{robot.frame_prefix}{names.ODOM_FRAME}"
         self._publishers: list[Publisher] = []
         self._make_publishers()
-        self.sensors = SensorSuite(robot, config.step_hz, config.publish_hz, world.scene.gravity, config.seed)
+        self.sensors = SensorSuite(robot, config.time.step_hz, config.time.publish_hz, world.scene.gravity, config.world.seed)
         self._received_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MAX_COMMANDS)
         self._due_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MAX_COMMANDS)
         self._applied: list[TwistStamped] = []
@@ -92,7 +92,7 @@ class RobotInterface:
         self._subscriptions = [
             node.create_subscription(kind, self._topic(name), partial(self._on_command, self._resolved(name)), qos.COMMAND)
             for kind, name in (
-                (TwistStamped if config.cmd_vel_type == "stamped" else Twist, names.CMD_VEL),
+                (TwistStamped if config.commands.cmd_vel_type == "stamped" else Twist, names.CMD_VEL),
                 (JointTrajectory, names.JOINT_TRAJECTORY),
                 (JointState, names.JOINT_COMMAND),
             )
@@ -230,8 +230,11 @@ class RobotInterface:
         for command in commands:
             self._applied_pub.publish(command)
 
-    def publish_odometry(self, world: PhysicsWorld) -> Published:
-        """Publishes the wheel odometry, which does not need the scene state; returns what was published."""
+    def begin_tick(self, world: PhysicsWorld) -> RobotTick:
+        """Publishes the wheel odometry, which does not need the scene state; the returned tick publishes the rest."""
+        return RobotTick(self, world, self._publish_odometry(world))
+
+    def _publish_odometry(self, world: PhysicsWorld) -> _Published:
         if not self._odom_pub.get_subscription_count():
             return []
         odometry = world.odometry(self.robot.name)
@@ -241,20 +244,14 @@ class RobotInterface:
         message = self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist, *covariances)
         return _publish(self._odom_pub, message)
 
-    def publish_transforms(self, world: PhysicsWorld, state: SceneState) -> Published:
-        """Publishes the transforms with the stamp of the state; returns what was published."""
+    def _publish_transforms(self, world: PhysicsWorld, state: SceneState) -> _Published:
         if not self._tf_pub.get_subscription_count():
             return []
         return _publish(self._tf_pub, self._tf.serialize(state.stamp_ns, self._transforms(world, state)))
 
-    def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> Published:
-        """Publishes ground truth, joint states and arm states with the stamp of the state, and adds them to ``digests``.
-
-        Returns:
-            What was published, without the arm states.
-        """
+    def _publish_states(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None) -> _Published:
         name, stamp = self.robot.name, state.stamp_ns
-        published: Published = []
+        published: _Published = []
         if digests is not None or self._truth_pub.get_subscription_count():
             base, (linear, angular) = world.base_pose(name), world.base_twist(name)
             truth = self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular)
@@ -279,7 +276,7 @@ class RobotInterface:
             (*odom_pose.position, *odom_pose.quat_xyzw),
             *self._relative.of(state.positions, state.quats_xyzw),
         ]
-        if self._config.publish_map_tf:
+        if self._config.topics.publish_map_tf:
             base = matrix_from_pose(world.base_pose(self.robot.name))
             T_map_odom = pose_from_matrix(base @ invert(matrix_from_pose(odom_pose)))
             poses.append((*T_map_odom.position, *T_map_odom.quat_xyzw))
@@ -289,7 +286,7 @@ class RobotInterface:
         """Prepares the serializers of messages with a fixed layout."""
         robot, prefix = self.robot, self.robot.frame_prefix
         frames = [(self._odom_frame, self._base_frame), *((prefix + p, prefix + c) for _, p, c in robot.moving_joints)]
-        if self._config.publish_map_tf:
+        if self._config.topics.publish_map_tf:
             frames.append((WORLD_FRAME, self._odom_frame))
         self._tf = FastTf(frames)
         self._odom = FastOdometry(self._odom_frame, self._base_frame)
@@ -366,6 +363,28 @@ class RobotInterface:
         self._publishers, self._subscriptions = [], []
 
 
-def _publish(publisher: Publisher, message: bytes) -> Published:
+class RobotTick:
+    """What a robot publishes at one tick: the odometry, which ``RobotInterface.begin_tick`` has published before this object exists, then
+    the transforms and the states, with the stamp of the scene state.
+    """
+
+    def __init__(self, robot: RobotInterface, world: PhysicsWorld, published: _Published) -> None:
+        self._robot, self._world, self._published = robot, world, published
+
+    def publish_transforms(self, state: SceneState) -> None:
+        """Publishes the transforms."""
+        self._published += self._robot._publish_transforms(self._world, state)
+
+    def publish_states(self, state: SceneState, digests: DigestPublisher | None = None) -> None:
+        """Publishes ground truth, joint states and arm states, and adds them to ``digests``."""
+        self._published += self._robot._publish_states(self._world, state, digests)
+
+    def publish_again(self) -> None:
+        """Republishes all that was published, without the arm states."""
+        for publisher, message in self._published:
+            publisher.publish(message)
+
+
+def _publish(publisher: Publisher, message: bytes) -> _Published:
     publisher.publish(message)
     return [(publisher, message)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from gibson_sim import __version__
 from gibson_sim.processes.processor import processor
 from gibson_sim.ros import conversions
 from gibson_sim.ros.topics import names, qos
+from gibson_sim.settings import setting_values
 
 _PACKAGES = ("numpy", "pybullet", "moderngl", "rclpy")
 _PATHS = ("scene", "robot")
@@ -36,7 +36,7 @@ def publish_run_info(node: Node, kind: str, config: Any, stamp_ns: int, **facts:
         The publisher, which the caller must keep alive.
     """
     publisher = node.create_publisher(RunInfo, names.RUN_INFO, qos.RUN_INFO)
-    settings = {f.name: _absolute(f.name, getattr(config, f.name)) for f in fields(config)}
+    settings = {name: _absolute(name, value) for name, value in setting_values(config).items()}
     environment = {
         "machine": platform.machine(),
         "processor": processor(),

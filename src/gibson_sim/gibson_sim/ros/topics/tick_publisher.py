@@ -19,7 +19,7 @@ from gibson_sim.ros.lockstep.image_gate import ImageGate
 from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.object_joints import ObjectJoints
-from gibson_sim.ros.topics.robot_interface import Published, RobotInterface
+from gibson_sim.ros.topics.robot_interface import RobotInterface, RobotTick
 from gibson_sim.ros.topics.world_interface import WorldInterface
 from gibson_sim.ros.wire.fast_publish import FastClock
 from gibson_sim.sensors.schedule import is_due
@@ -66,17 +66,17 @@ class TickPublisher:
             gate: gate to close at every tick; None = no lockstep.
             images: gate to close at every tick with due cameras; None = no such gate.
         """
-        self._config, self._simulator, self._robots, self._world_topics = config, simulator, robots, world_topics
+        self._time, self._simulator, self._robots, self._world_topics = config.time, simulator, robots, world_topics
         self._digests, self._gate, self._images = digests, gate, images
-        self._objects, self._contacts = objects, ContactsPublisher(node, config)
+        self._objects, self._contacts = objects, ContactsPublisher(node, config.topics.contacts_rate, config.time.publish_hz)
         self._clock_message = FastClock()
         self._clock_pub = node.create_publisher(ClockMsg, names.CLOCK, **qos.overridable(qos.CLOCK))
         self._clock_ns = 0
         """Stamp of the last /clock, ns."""
         self._held: list[tuple[_Step, _Measured]] = []
         self._last_measured: _Measured = {}
-        self._last_states: dict[RobotInterface, Published] = {}
-        """Odometry, transforms and states of each robot at the last tick."""
+        self._last_ticks: dict[RobotInterface, RobotTick] = {}
+        """What each robot published at the last tick."""
 
     def publish_clock(self, stamp_ns: int) -> None:
         """Publishes /clock."""
@@ -120,16 +120,16 @@ class TickPublisher:
         if whole_tick:
             for name, measured in self._last_measured.items():
                 if (robot := self._robots.get(name)) is not None:
-                    for publisher, message in self._last_states.get(robot, ()):
-                        publisher.publish(message)
+                    if (robot_tick := self._last_ticks.get(robot)) is not None:
+                        robot_tick.publish_again()
                     robot.publish_sensors(measured)
         self._world_topics.publish_state_again()
 
     def _step(self, world: PhysicsWorld) -> _Step:
-        step, config = world.step_count, self._config
-        tick, remainder = divmod(step, config.step_hz // config.publish_hz)
+        step, time = world.step_count, self._time
+        tick, remainder = divmod(step, time.steps_per_tick)
         requested = self._simulator.state is not SimulationState.PLAYING
-        has_clock = requested or is_due(step, config.clock_hz, config.step_hz)
+        has_clock = requested or is_due(step, time.clock_hz, time.step_hz)
         applied = {name: commands for name, robot in self._robots.items() if (commands := robot.pop_applied())}
         return _Step(world.stamp_ns, None if remainder else tick, has_clock, applied)
 
@@ -142,14 +142,14 @@ class TickPublisher:
         self.publish_clock(world.stamp_ns)
         due = self._world_topics.due(tick)
         # Odometry and transforms first, since controllers need them: a small image follows within a millisecond of the scene state.
-        published = self._last_states = {robot: robot.publish_odometry(world) for robot in self._robots.values()}
+        ticks = self._last_ticks = {robot: robot.begin_tick(world) for robot in self._robots.values()}
         # All links are read once, here; the sensors that are due at this step use the same state.
         state = world.state()
-        for robot, messages in published.items():
-            messages += robot.publish_transforms(world, state)
+        for robot_tick in ticks.values():
+            robot_tick.publish_transforms(state)
         self._world_topics.publish_state(state, due, simulator.epoch, simulator.epoch_step)
-        for robot, messages in published.items():
-            messages += robot.publish_state(world, state, self._digests)
+        for robot_tick in ticks.values():
+            robot_tick.publish_states(state, self._digests)
         self._objects.publish(world, tick)
         self._contacts.publish(world, tick)
         if self._images is not None:
@@ -207,12 +207,11 @@ class ContactsPublisher:
         contacts (gibson_msgs/Contacts) at ``contacts_rate``.
     """
 
-    def __init__(self, node: Node, config: PhysicsConfig) -> None:
-        self._config = config
+    def __init__(self, node: Node, rate_hz: float, publish_hz: int) -> None:
+        self._rate_hz, self._publish_hz = min(rate_hz, publish_hz), publish_hz
         self._publisher = node.create_publisher(Contacts, names.CONTACTS, **qos.overridable(qos.STATE))
 
     def publish(self, world: PhysicsWorld, tick: int) -> None:
         """Publishes the contacts of the last step if they are due at ``tick``, which counts at ``publish_hz``."""
-        rate = min(self._config.contacts_rate, self._config.publish_hz)
-        if self._publisher.get_subscription_count() and is_due(tick, rate, self._config.publish_hz):
+        if self._publisher.get_subscription_count() and is_due(tick, self._rate_hz, self._publish_hz):
             self._publisher.publish(conversions.contacts_to_msg(world.contacts(), world.stamp_ns))

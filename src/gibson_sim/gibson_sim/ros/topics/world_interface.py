@@ -13,7 +13,7 @@ from rclpy.publisher import Publisher
 from tf2_msgs.msg import TFMessage
 
 from gibson_msgs.msg import Epoch, Scene, SceneState
-from gibson_sim.config import PhysicsConfig
+from gibson_sim.config import CameraSettings, PhysicsConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.maps.floor_extent import extent_of_scene
 from gibson_sim.maps.floor_map import scene_floor_map
@@ -57,7 +57,7 @@ class WorldInterface:
         self._state_layout: FastSceneState | None = None
         self._layout_revision = -1
         self._last_state = b""
-        self._requested_views = read_views(config.views, config.wanted_view_size(), config.view_rate)
+        self._requested_views = read_views(config.cameras.views, config.cameras.size_of_views, config.cameras.view_rate)
         self._views: Views | None = None
         self._floor: tuple[tuple[str, float], FloorExtent] | None = None
         """Hash of a scene, and the extent of its floor, which is computed once."""
@@ -69,18 +69,18 @@ class WorldInterface:
     def publish_scene(self, world: PhysicsWorld) -> None:
         """Publishes the scene; called after every change."""
         drawn = drawn_scene(world.scene, world.links)
-        drawn = replace(drawn, cameras=with_camera_settings(drawn.cameras, self._config))
+        drawn = replace(drawn, cameras=with_camera_settings(drawn.cameras, self._config.cameras))
         if self._requested_views:
             robot = next((robot.name for robot in world.scene.robots), "")
             drawn = self._set_views(Views(self._requested_views, drawn, robot, lambda: self._floor_of(world.scene)))
         if self._rules is not None:
-            drawn = randomise(drawn, self._config.randomise_seed, self._rules)
+            drawn = randomise(drawn, self._config.world.randomise_seed, self._rules)
         self.cameras = drawn.cameras
         self._scene_pub.publish(conversions.scene_to_msg(drawn, world.stamp_ns))
 
     def due(self, tick: int) -> tuple[int, ...]:
         """Returns the indices of the ``cameras`` that are due at a tick, which counts at ``publish_hz``."""
-        return tuple(i for i, c in enumerate(self.cameras) if is_due(tick, c.rate_hz, self._config.publish_hz))
+        return tuple(i for i, c in enumerate(self.cameras) if is_due(tick, c.rate_hz, self._config.time.publish_hz))
 
     def publish_state(self, state: State, due: tuple[int, ...], epoch: int, epoch_step: int) -> None:
         """Publishes a state with the indices of the ``cameras`` that are due."""
@@ -135,7 +135,7 @@ class WorldInterface:
         """Publishes the maps of the world's floors; publishes the topic ``map`` only while it has no other publisher."""
         self._destroy_maps()
         self._map = None
-        if self._config.map == "off":
+        if self._config.topics.map == "off":
             return
         scene = world.scene
         floors = {names.floor_map(i): z for i, z in enumerate(scene.floors)} if len(scene.floors) > 1 else {}
@@ -144,7 +144,7 @@ class WorldInterface:
         for topic, floor_z in floors.items():
             level = replace(scene, floor_z=floor_z)
             try:
-                floor = scene_floor_map(level, robot_height=height, resolution=self._config.map_resolution)
+                floor = scene_floor_map(level, robot_height=height, resolution=self._config.topics.map_resolution)
             except GibsonSimError as error:
                 logger.warning("no map is published on %s: %s", topic, error)
                 continue
@@ -163,7 +163,7 @@ class WorldInterface:
         if names.MAP in self._maps:
             if self._has_other_publisher(own_count=1):
                 self._node.destroy_publisher(self._maps.pop(names.MAP))
-        elif self._map_withdrawn and not self._config.lockstep and not self._node.count_publishers(names.MAP):
+        elif self._map_withdrawn and not self._config.sync.lockstep and not self._node.count_publishers(names.MAP):
             self._map_withdrawn = False
             if self._map is not None:
                 self._publish_on(names.MAP, self._map)
@@ -179,21 +179,21 @@ class WorldInterface:
 
     def _has_other_publisher(self, own_count: int) -> bool:
         """Returns whether another node publishes ``map``, or has done so; ``own_count`` is the number of publishers of this node."""
-        if self._config.map == "auto" and not self._map_withdrawn and self._node.count_publishers(names.MAP) > own_count:
+        if self._config.topics.map == "auto" and not self._map_withdrawn and self._node.count_publishers(names.MAP) > own_count:
             self._map_withdrawn = True
             self._node.get_logger().info("another node publishes the map: ours is withdrawn (setting map = on keeps it)")
         return self._map_withdrawn
 
 
-def with_camera_settings(cameras: Sequence[CameraSpec], config: PhysicsConfig) -> tuple[CameraSpec, ...]:
+def with_camera_settings(cameras: Sequence[CameraSpec], settings: CameraSettings) -> tuple[CameraSpec, ...]:
     """Returns the cameras with the rate, the outputs and the hole filling that the settings override for all cameras."""
     changes: dict[str, Any] = {}
-    if config.camera_rate:
-        changes["rate_hz"] = config.camera_rate
-    if outputs := config.wanted_outputs():
+    if settings.camera_rate:
+        changes["rate_hz"] = settings.camera_rate
+    if outputs := settings.outputs:
         changes["outputs"] = outputs
-    if config.camera_fill:
-        changes["fill"], changes["fill_depth"] = config.wanted_fill()
+    if settings.camera_fill:
+        changes["fill"], changes["fill_depth"] = settings.fill
     return tuple(_with_mask(replace(camera, **changes)) for camera in cameras)
 
 

@@ -248,7 +248,7 @@ def _load() -> None:
         except (*UNKNOWN, RecordError):  # a node that needs the type reports it
             continue
     try:
-        simulator = Simulator(populate(_SCENE, "gibson_bot", ""), PhysicsConfig(scene=_SCENE))
+        simulator = Simulator(populate(_SCENE, "gibson_bot", ""), PhysicsConfig.of(scene=_SCENE))
         simulator.step()
         simulator.close()
     except GibsonSimError:  # the scene is not in the package

@@ -17,7 +17,7 @@ from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, EnvironmentProblemError
 from gibson_sim.quoting import quoted
 from gibson_sim.reach import LOCAL, reach_variables
-from gibson_sim.settings import nearest
+from gibson_sim.settings import nearest, setting_fields
 from gibson_sim.trials.execution.trial_node import INPUT, MARKER, REPORT
 from gibson_sim.trials.records import RunSpec
 from gibson_sim.trials.run_folder import BAG
@@ -120,7 +120,7 @@ def participants_of(stack: StackSpec, own: tuple[str, ...]) -> str:
         named_rule = rule if "=" in rule else f"{_NOT_A_NAME.sub('_', rule.split()[0].strip('/')) if rule.split() else ''}={rule}"
         rules.append(named_rule)
     text = "; ".join((*own, *rules))
-    PhysicsConfig(lockstep=True, participants=text)
+    PhysicsConfig.of(lockstep=True, participants=text)
     from gibson_sim.standard.lockstep import parse_participants
 
     parse_participants(text)
@@ -139,8 +139,8 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
     Raises:
         ConfigError: a setting has a value that is not allowed.
     """
-    known = PhysicsConfig.__dataclass_fields__
-    unknown = sorted(run.physics.keys() - known.keys())
+    known = {f.name for f in setting_fields(PhysicsConfig)}
+    unknown = sorted(run.physics.keys() - known)
     if unknown:
         raise ConfigError(
             f"physics has {quoted(unknown[0])}, which is not a setting of the physics node; see `gibson-sim params`"
@@ -168,7 +168,7 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
         if isinstance(value, str) and value in run.files:
             values[name] = str(folder / value)
     return NodeSettings(
-        PhysicsConfig(**values),
+        PhysicsConfig.of(**values),
         RecordConfig(output=str(folder / BAG), record_images=scenario.record.images, summary_path=str(job / "record.json")),
         TrialConfig(input=str(job / INPUT), output=str(job / REPORT)),
         RenderConfig(digests=True, summary_path=str(job / "render.json")),

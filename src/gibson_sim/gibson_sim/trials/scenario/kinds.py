@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from gibson_sim.field_docs import field_docs
 from gibson_sim.quoting import quoted
-from gibson_sim.settings import nearest
+from gibson_sim.settings import nearest, setting_fields
 from gibson_sim.trials.scenario.spec import SAMPLED
 
 Schema = dict[str, Any]
@@ -441,7 +441,7 @@ class SettingsOf:
     _fields: dict[str, Field[Any]] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_fields", {f.name: f for f in fields(self.cls) if f.name not in self.without})
+        object.__setattr__(self, "_fields", {f.name: f for f in setting_fields(self.cls) if f.name not in self.without})
 
     def read(self, value: Any, at: Location) -> Any:
         """Returns a dictionary."""

@@ -232,7 +232,7 @@ class _Resolver:
         if "physics" not in values or "stack" not in values or self._had_mistakes("stack.lockstep"):
             return
         try:
-            PhysicsConfig(**values["physics"], lockstep=bool(values["stack"].lockstep))
+            PhysicsConfig.of(**values["physics"], lockstep=bool(values["stack"].lockstep))
         except ConfigError as error:
             self._top.key("physics").note(f"is not allowed: {error}")
 
