@@ -21,7 +21,7 @@ from gibson_sim.formats.splats import splats_ply
 from gibson_sim.geometry.transforms import camera_pose
 from gibson_sim.maps.placement import populate
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SplatsSpec, drawn_scene
 from gibson_sim.types import CameraSpec, SceneState
@@ -46,12 +46,12 @@ def main() -> None:
         splats = splats_of_scene(spec, SPLATS, np.random.default_rng(0))
         file.write_bytes(splats_ply(splats))
         roots = (*scene_roots(spec), Path(folder))
-        with Renderer(drawn_scene(spec, state.links), allowed_roots=roots) as renderer:
+        with Renderer(drawn_scene(spec, state.links), meshes=MeshFiles(allowed_roots=roots)) as renderer:
             rows = [[renderer.render(state, [camera])[0].rgb for camera in (VIEW, FISHEYE)]]
             _report("mesh", renderer, state)
         began = time.process_time()
         drawn = drawn_scene(replace(spec, splats=SplatsSpec(str(file))), state.links)
-        with Renderer(drawn, allowed_roots=roots) as renderer:
+        with Renderer(drawn, meshes=MeshFiles(allowed_roots=roots)) as renderer:
             print(f"{len(splats)} splats loaded with the scene in {time.process_time() - began:.1f} s of processor time")
             rows.append([renderer.render(state, [camera])[0].rgb for camera in (VIEW, FISHEYE)])
             _report("splats", renderer, state)

@@ -125,7 +125,7 @@ def _messages(bag: Path, topic: str) -> list[Any]:
 def _expected(camera: CameraSpec, ticks: list[int]) -> list[Any]:
     """Returns the frames that the renderer draws at ticks, each with the motion since the one before in the same scene."""
     frames: list[Any] = []
-    with Renderer(SCENES[1], cache=None) as renderer:
+    with Renderer(SCENES[1]) as renderer:
         before: SceneState | None = None
         for state in (STATES[tick - 1] for tick in ticks):
             if before is not None and before.revision != state.revision:

@@ -30,7 +30,7 @@ from gibson_sim.cli.report_file import write_json
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import pose_from_matrix
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.types import CameraSpec, SceneState
 from gibson_sim_bench import timing
@@ -87,7 +87,7 @@ class CleanScene:
         """Renders a scene at the poses of photographs."""
         drawn = static_scene(load_scene(scene))
         colours, depths = [], []
-        with Renderer(drawn, cache=default_folder()) as renderer:
+        with Renderer(drawn, meshes=MeshFiles(cache=default_folder())) as renderer:
             for number, item in enumerate(photographs.items):
                 intrinsics = photographs.intrinsics(number)
                 camera = CameraSpec(

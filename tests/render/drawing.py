@@ -71,7 +71,7 @@ def draw(*visuals: VisualSpec, camera: CameraSpec = EYE, light: LightSpec = DARK
 
 def draw_mesh(mesh: Mesh, *others: VisualSpec, camera: CameraSpec = EYE) -> Frame:
     """Returns a camera's frame of a mesh in the world frame and of primitives."""
-    with Renderer(scene(mesh_visual(), *others), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(mesh_visual(), *others), meshes=loader_of(mesh)) as renderer:
         return renderer.render(state(), [camera])[0]
 
 

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.config import DETAIL_PX
 from gibson_sim.description.shapes import Shape, VisualSpec
-from gibson_sim.formats.mesh import Mesh
 from gibson_sim.render import cache, renderer as module
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import OUTPUTS, Frame
-from render.drawing import box, eye_at, loader_of, scene, state
+from render.drawing import box, eye_at, scene, state
 from support.surfaces import bumpy_sphere, detail_from
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
@@ -48,8 +48,10 @@ def _small_scenes_are_worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "SMALLEST", 1)
 
 
-def _draw(drawn: DrawnScene, folder: Path | None, **settings: float) -> tuple[Frame, tuple[str, ...], dict[str, object]]:
-    with Renderer(drawn, cache=folder, **settings) as renderer:
+def _draw(
+    drawn: DrawnScene, folder: Path | None, detail_px: float = DETAIL_PX
+) -> tuple[Frame, tuple[str, ...], dict[str, object]]:
+    with Renderer(drawn, MeshFiles(cache=folder), RenderOptions(detail_px=detail_px)) as renderer:
         return renderer.render(NOW, [CAMERA], BEFORE)[0], renderer.warnings, renderer.info
 
 
@@ -130,13 +132,6 @@ def test_without_a_cache_nothing_is_written(drawn: DrawnScene, tmp_path: Path, m
     before = sorted(tmp_path.rglob("*"))
     _draw(drawn, None)
     assert sorted(file for file in tmp_path.rglob("*") if ".cache/mesa" not in str(file)) == before
-
-
-def test_a_custom_loader_is_always_called(tmp_path: Path, drawn: DrawnScene) -> None:
-    loader = loader_of(Mesh((bumpy_sphere(26),)))
-    with Renderer(drawn, loader=loader, cache=tmp_path / "cache"):
-        pass
-    assert not (tmp_path / "cache").exists()
 
 
 @pytest.mark.parametrize("which", ["the file", "its folder", "the folder above"])

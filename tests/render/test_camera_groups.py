@@ -14,7 +14,7 @@ import pytest
 
 from gibson_sim.render.draw import gl_scene
 from gibson_sim.render.draw.grouping import CameraGrouping
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, EYE, GREEN, RED, box, eye_at, scene, state
 from render.rooms import rooms, way
@@ -30,7 +30,7 @@ def renderer(egl: None) -> Iterator[Renderer]:
     """The rooms and one moving box, in levels of detail."""
     visuals, loader = rooms()
     drawn = scene(*visuals, box((0.0, 0.0, 0.0), RED, link="a/base"), links=("a/base",))
-    with detail_from(1), Renderer(drawn, loader=loader) as one:
+    with detail_from(1), Renderer(drawn, meshes=loader) as one:
         yield one
 
 
@@ -93,7 +93,7 @@ def test_without_shared_targets_the_bits_of_an_image_do_not_depend_on_other_came
     visuals, loader = rooms()
     drawn = scene(*visuals, box((0.0, 0.0, 0.0), RED, link="a/base"), links=("a/base",))
     cameras = _mixed()
-    with detail_from(1), Renderer(drawn, loader=loader, share_targets=False) as one:
+    with detail_from(1), Renderer(drawn, meshes=loader, options=RenderOptions(share_targets=False)) as one:
         together = one.render(NOW, cameras, BEFORE)
         for camera, frame in zip(cameras, together, strict=True):
             (alone,) = one.render(NOW, [camera], BEFORE)
@@ -147,7 +147,9 @@ def test_more_views_than_one_target_holds_come_in_several(renderer: Renderer, mo
     assert renderer._camera_images is not None
     monkeypatch.setattr(renderer._camera_images, "_largest", 64)
     monkeypatch.setattr(renderer._camera_images, "groups", CameraGrouping(64).of)
-    assert len(list(renderer.drawn(NOW, cameras, BEFORE))) > 2
+    targets: list[int] = []
+    renderer.draw(NOW, cameras, BEFORE, lambda target, images, numbers: targets.append(len(numbers)))
+    assert len(targets) > 2 and sum(targets) == 7
     _assert_same(renderer.render(NOW, cameras, BEFORE), expected)
 
 

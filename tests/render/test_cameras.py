@@ -20,7 +20,7 @@ from gibson_sim.description.shapes import VisualSpec
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart
 from gibson_sim.geometry.projections import back_project, project, rays, unproject
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_matrix, transform_points
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Pose
 from render.drawing import DARK, EYE, box, draw, loader_of, mesh_visual, scene, state
 
@@ -262,7 +262,7 @@ def _twice(camera: CameraSpec) -> CameraSpec:
 @contextmanager
 def _drawn_exactly(mesh: Mesh) -> Iterator[Renderer]:
     """Draws a mesh with all its triangles."""
-    with Renderer(scene(mesh_visual()), loader=loader_of(mesh), detail_px=0.0) as renderer:
+    with Renderer(scene(mesh_visual()), meshes=loader_of(mesh), options=RenderOptions(detail_px=0.0)) as renderer:
         yield renderer
 
 

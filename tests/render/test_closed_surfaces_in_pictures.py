@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.config import DETAIL_PX
 from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Mesh
+from gibson_sim.render.batching.scene_geometry import Loader
 from gibson_sim.render.culling.closed_surfaces import NearPlaneTest
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import DrawnScene, drawn_scene
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
@@ -31,9 +33,15 @@ def _assert_same_surfaces(some: Frame, other: Frame) -> None:
             assert ((a == b) | ((a != a) & (b != b))).mean() > 0.9993, field.name
 
 
-def _both_ways(drawn: DrawnScene, cameras: list[CameraSpec], monkeypatch: pytest.MonkeyPatch, **options: object) -> None:
+def _both_ways(
+    drawn: DrawnScene,
+    cameras: list[CameraSpec],
+    monkeypatch: pytest.MonkeyPatch,
+    meshes: MeshFiles | Loader,
+    detail_px: float = DETAIL_PX,
+) -> None:
     now = state(drawn.links, [(2.0 + 2.0 * k, 1.6, 0.7) for k in range(len(drawn.links))])
-    with Renderer(drawn, **options) as renderer:
+    with Renderer(drawn, meshes, RenderOptions(detail_px=detail_px)) as renderer:
         fronts = [renderer.render(now, [camera])[0] for camera in cameras]
         monkeypatch.setattr(NearPlaneTest, "touches", lambda *_: True)
         for camera, front in zip(cameras, fronts, strict=True):
@@ -47,13 +55,13 @@ def test_images_equal_those_without_back_face_culling(samples: int, monkeypatch:
     pane = box((3.0, 1.6, 1.0), (0.2, 0.4, 0.9, 0.4), (0.02, 2.0, 2.0))
     drawn = scene(*visuals, pane, box((0, 0, 0), RED, link="a"), box((0, 0, 0), BLUE, link="b"), links=("a", "b"))
     cameras = [replace(EYE, pose=pose, width=120, height=90, outputs=OUTPUTS, samples=samples) for pose in way(5)]
-    _both_ways(drawn, cameras, monkeypatch, loader=loader)
+    _both_ways(drawn, cameras, monkeypatch, loader)
 
 
 def test_images_of_non_pinhole_cameras_equal_those_without_back_face_culling(monkeypatch: pytest.MonkeyPatch) -> None:
     visuals, loader = rooms()
     wide = [replace(EYE, pose=pose, width=128, height=64, projection="equirectangular") for pose in way(2)]
-    _both_ways(scene(*visuals), wide, monkeypatch, loader=loader)
+    _both_ways(scene(*visuals), wide, monkeypatch, loader)
 
 
 def _box_without_front() -> Mesh:
@@ -65,7 +73,7 @@ def _box_without_front() -> Mesh:
 
 def test_half_of_the_triangles_of_a_box_are_not_filled() -> None:
     # Culled faces cannot be seen, so the test uses a box without a front that is marked as closed.
-    with Renderer(scene(mesh_visual()), loader=loader_of(_box_without_front())) as renderer:
+    with Renderer(scene(mesh_visual()), meshes=loader_of(_box_without_front())) as renderer:
         assert renderer._scene is not None
         (frame,) = renderer.render(state(), [EYE])
         assert frame.depth is not None
@@ -160,4 +168,4 @@ def test_third_party_worlds_look_as_without_back_face_culling(
         eye_at((x, y, z), look_at=(u, v, 1.0), width=160, height=120, outputs=("rgb", "depth"))
         for (x, y, z), (u, v) in zip(eyes, ahead, strict=True)
     ]
-    _both_ways(drawn, cameras, monkeypatch, detail_px=0.0)
+    _both_ways(drawn, cameras, monkeypatch, MeshFiles(), detail_px=0.0)

@@ -13,7 +13,7 @@ import pytest
 from gibson_sim.errors import GraphicsUnavailableError
 from gibson_sim.render.context import list_devices, open_context
 from gibson_sim.render.context.egl import Egl
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from render.drawing import scene
 
 
@@ -35,7 +35,7 @@ def test_a_library_that_is_not_egl_is_refused_by_name():
 
 def test_a_renderer_without_the_library_is_refused():
     with pytest.raises(GraphicsUnavailableError, match=r"libNoSuchEGL\.so\.1"):
-        Renderer(scene(), library="libNoSuchEGL.so.1")
+        Renderer(scene(), options=RenderOptions(library="libNoSuchEGL.so.1"))
 
 
 @pytest.mark.egl

@@ -7,7 +7,7 @@ import pytest
 
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart
 from gibson_sim.geometry.transforms import matrix_from_pose
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from render.drawing import eye_at, loader_of, mesh_visual, scene, state
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
@@ -38,7 +38,7 @@ def floor(half: float = 5.0, cells: int = 100) -> Mesh:
 def test_leaving_out_what_is_outside_the_image_changes_no_byte(number):
     frames = []
     for cull in (True, False):
-        with Renderer(scene(mesh_visual()), loader=loader_of(floor()), cull=cull) as renderer:
+        with Renderer(scene(mesh_visual()), meshes=loader_of(floor()), options=RenderOptions(cull=cull)) as renderer:
             assert renderer.info["clusters"] > 30
             frames.append(renderer.render(state(), [EYES[number]])[0])
     culled, whole = frames
@@ -50,7 +50,7 @@ def test_leaving_out_what_is_outside_the_image_changes_no_byte(number):
 @pytest.mark.parametrize("number", range(len(EYES)))
 def test_a_floor_of_many_triangles_has_no_hole_and_no_fringe(number):
     camera = EYES[number]
-    with Renderer(scene(mesh_visual()), loader=loader_of(floor())) as renderer:
+    with Renderer(scene(mesh_visual()), meshes=loader_of(floor())) as renderer:
         depth = renderer.render(state(), [camera])[0].depth
     # The ray of each pixel meets the plane z = 0 at this depth, and at (x, y).
     T_world_camera = matrix_from_pose(camera.pose)
@@ -68,7 +68,7 @@ def test_a_floor_of_many_triangles_has_no_hole_and_no_fringe(number):
 
 def test_a_moving_mesh_is_not_left_out_where_it_went():
     # The grid's own frame is far behind the camera; the state brings it below.
-    with Renderer(scene(mesh_visual("robot/base"), links=("robot/base",)), loader=loader_of(floor(1.0, 30))) as renderer:
+    with Renderer(scene(mesh_visual("robot/base"), links=("robot/base",)), meshes=loader_of(floor(1.0, 30))) as renderer:
         gone, here = (
             renderer.render(state(["robot/base"], [p]), [eye_at((0.0, 0.0, 1.0), look_at=(1.0, 0.0, 0.0))])[0]
             for p in ((-50.0, 0.0, 0.0), (1.0, 0.0, 0.0))

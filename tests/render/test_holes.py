@@ -43,7 +43,7 @@ def test_hole_output_changes_no_other_output() -> None:
 
 
 def test_back_faces_of_moving_bodies_and_of_leaves_are_no_hole() -> None:
-    with Renderer(scene(mesh_visual("a"), links=("a",)), loader=loader_of(BACK)) as renderer:
+    with Renderer(scene(mesh_visual("a"), links=("a",)), meshes=loader_of(BACK)) as renderer:
         frame = renderer.render(state(("a",), [(0.0, 0.0, 0.0)]), [HOLES])[0]
     assert (frame.hole[16:48, 16:48] == SURFACE).all()
     pixels = np.full((2, 2, 4), 255, dtype=np.uint8)
@@ -55,7 +55,7 @@ def test_back_faces_of_moving_bodies_and_of_leaves_are_no_hole() -> None:
 def test_sky_is_no_hole(tmp_path: Path) -> None:
     sky = tmp_path / "sky.png"
     cv2.imwrite(str(sky), np.full((16, 32, 3), 200, dtype=np.uint8))
-    with Renderer(scene(mesh_visual(), light=LightSpec(backdrop=str(sky))), loader=loader_of(FRONT)) as renderer:
+    with Renderer(scene(mesh_visual(), light=LightSpec(backdrop=str(sky))), meshes=loader_of(FRONT)) as renderer:
         frame = renderer.render(state(), [HOLES])[0]
     assert set(np.unique(frame.hole)) == {SURFACE, UNSEEN}
     assert not frame.normal[frame.hole == UNSEEN].any()

@@ -149,7 +149,7 @@ def test_hole_of_a_masked_texture_is_a_hole_in_the_labels() -> None:
     pixels = np.full((2, 2, 4), 255, dtype=np.uint8)
     pixels[0, 0, 3] = 0  # top left
     material = Material(texture=TextureSource("t", pixels), alpha_mode="mask", alpha_cutoff=0.5)
-    with Renderer(scene(mesh_visual()), loader=loader_of(facing_quad(2.0, 1.0, material))) as renderer:
+    with Renderer(scene(mesh_visual()), meshes=loader_of(facing_quad(2.0, 1.0, material))) as renderer:
         frame = renderer.render(state(), [ALL])[0]
     assert frame.instance is not None
     assert frame.instance[20, 20] == 0

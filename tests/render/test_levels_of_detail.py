@@ -15,7 +15,7 @@ from gibson_sim.geometry.projections import rays
 from gibson_sim.render.batching import assembly
 from gibson_sim.render.batching.scene_geometry import Loader
 from gibson_sim.render.lod import clusters
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import EYE, eye_at, loader_of, mesh_visual, scene, state
@@ -59,8 +59,8 @@ def pairs(request: pytest.FixtureRequest, egl: None) -> list[Pair]:
     pairs = []
     with (
         detail_from(1),
-        Renderer(drawn, loader=loader, detail_px=0.5) as coarse,
-        Renderer(drawn, loader=loader, detail_px=0.0) as fine,
+        Renderer(drawn, meshes=loader, options=RenderOptions(detail_px=0.5)) as coarse,
+        Renderer(drawn, meshes=loader, options=RenderOptions(detail_px=0.0)) as fine,
     ):
         for renderer in (coarse, fine):
             assert renderer._scene is not None
@@ -139,7 +139,7 @@ def _triangles(renderer: Renderer, camera: CameraSpec) -> int:
 
 def test_distant_objects_have_fewer_triangles() -> None:
     drawn, loader = _sphere()
-    with detail_from(1), Renderer(drawn, loader=loader, detail_px=0.5) as renderer:
+    with detail_from(1), Renderer(drawn, meshes=loader, options=RenderOptions(detail_px=0.5)) as renderer:
         counts = [_triangles(renderer, eye_at((-d, 0.0, 0.0), width=240, height=180)) for d in (1.5, 3.0, 6.0, 12.0)]
     assert counts[0] > 2 * counts[1] > 2 * counts[2]
     assert counts[2] >= counts[3]
@@ -149,7 +149,7 @@ def test_distant_objects_have_fewer_triangles() -> None:
 def test_a_longer_lens_or_more_pixels_need_more_triangles() -> None:
     drawn, loader = _sphere()
     here = eye_at((-6.0, 0.0, 0.0), width=120, height=90)
-    with detail_from(1), Renderer(drawn, loader=loader, detail_px=0.5) as renderer:
+    with detail_from(1), Renderer(drawn, meshes=loader, options=RenderOptions(detail_px=0.5)) as renderer:
         plain, long, large = (
             _triangles(renderer, c) for c in (here, replace(here, fov_y=0.35), replace(here, width=720, height=540))
         )
@@ -160,7 +160,7 @@ def test_a_longer_lens_or_more_pixels_need_more_triangles() -> None:
 def test_levels_of_detail_follow_a_link() -> None:
     # The mesh's own frame is at the camera; the state brings it far away, so it may be coarse.
     drawn, loader = scene(mesh_visual("robot/base"), links=("robot/base",)), loader_of(Mesh((bumpy_sphere(),)))
-    with detail_from(1), Renderer(drawn, loader=loader, detail_px=0.5) as renderer:
+    with detail_from(1), Renderer(drawn, meshes=loader, options=RenderOptions(detail_px=0.5)) as renderer:
         counts = []
         for x in (2.0, 12.0):
             renderer.render(state(["robot/base"], [(x, 0.0, 0.0)]), [replace(EYE, width=240, height=180)])
@@ -173,7 +173,7 @@ def test_a_link_of_many_triangles_is_drawn_with_all_of_them(monkeypatch: pytest.
     counts = []
     for most in (19_880, 19_879):  # the sphere has 4 * 71 * 70
         monkeypatch.setattr(assembly, "MOVING_DETAIL_UPTO", most)
-        with detail_from(1), Renderer(drawn, loader=loader) as renderer:
+        with detail_from(1), Renderer(drawn, meshes=loader) as renderer:
             renderer.render(state(["robot/base"], [(50.0, 0.0, 0.0)]), [EYE])
             counts.append(renderer.drawn_triangles)
     assert counts[0] < 2_000
@@ -185,7 +185,7 @@ def test_scenes_of_few_triangles_are_drawn_with_all_of_them() -> None:
     far_away = eye_at((-50.0, 0.0, 0.0))
     counts = []
     for fewest in (19_880, 19_881):  # the sphere has 4 * 71 * 70
-        with detail_from(fewest), Renderer(drawn, loader=loader) as renderer:
+        with detail_from(fewest), Renderer(drawn, meshes=loader) as renderer:
             counts.append(_triangles(renderer, far_away))
     assert counts[0] < 2_000
     assert counts[1] == 19_880

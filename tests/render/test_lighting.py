@@ -228,7 +228,7 @@ def test_emission_is_seen_without_light() -> None:
 def draw_material(material: Material, light: LightSpec) -> NDArray[np.uint8]:
     """Returns the picture of a wall of this material, 1 m ahead, which fills it."""
     mesh = facing_quad(1.0, 1.0, material)
-    with Renderer(scene(mesh_visual(), light=light), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(mesh_visual(), light=light), meshes=loader_of(mesh)) as renderer:
         rgb = renderer.render(state(), [EYE])[0].rgb
     assert rgb is not None
     return rgb
@@ -296,7 +296,7 @@ def test_occlusion_darkens_ambient_light_and_nothing_else() -> None:
 
 def test_normal_maps_do_not_change_normals() -> None:
     mesh = facing_quad(1.0, 1.0, Material(base_color=WHITE, normal_texture=_map((255, 128, 128))))
-    with Renderer(scene(mesh_visual()), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(mesh_visual()), meshes=loader_of(mesh)) as renderer:
         normal = renderer.render(state(), [replace(EYE, outputs=("normal",))])[0].normal
     assert normal is not None
     np.testing.assert_allclose(normal[31, 31], (0.0, 0.0, -1.0), atol=1e-3)

@@ -80,7 +80,7 @@ def test_unlit_textures_come_back_as_they_are(color):
 
 def test_unlit_does_not_depend_on_light():
     mesh = facing_quad(1.0, 2.0, Material(base_color=(0.5, 0.5, 0.5, 1.0), unlit=True))
-    with Renderer(scene(mesh_visual(), light=LightSpec(sun=0.0, ambient=0.0)), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(mesh_visual(), light=LightSpec(sun=0.0, ambient=0.0)), meshes=loader_of(mesh)) as renderer:
         rgb = renderer.render(state(), [EYE])[0].rgb
     assert np.abs(rgb.astype(int) - 128).max() <= 1
 
@@ -115,7 +115,7 @@ def test_a_surface_is_lit_alike_whichever_way_its_triangles_turn():
 def test_the_colour_of_a_visual_replaces_the_material_of_the_file():
     mesh = facing_quad(1.0, 2.0, textured(CORNERS))
     visual = VisualSpec("mesh", "", Shape("mesh", mesh="/mesh"), color=BLUE)
-    with Renderer(scene(visual), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(visual), meshes=loader_of(mesh)) as renderer:
         assert where(renderer.render(state(), [EYE])[0], 2).all()
 
 
@@ -174,7 +174,7 @@ def test_a_mesh_that_cannot_be_read_is_left_out_with_a_warning():
     def loader(shape: Shape) -> Mesh:
         raise MeshError("/lost.glb: cannot be read")
 
-    with Renderer(scene(mesh_visual(), light=DARK), loader=loader) as renderer:
+    with Renderer(scene(mesh_visual(), light=DARK), meshes=loader) as renderer:
         assert renderer.warnings == ("visual 'mesh' is not drawn: /lost.glb: cannot be read",)
         assert np.isposinf(renderer.render(state(), [EYE])[0].depth).all()
 

@@ -14,7 +14,7 @@ from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Material, TextureSource
 from gibson_sim.render.draw import gl_scene
 from gibson_sim.render.draw.target import RenderTarget
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
 from render.drawing import BLUE, EYE, RED, box, quad, scene, state, where
 from render.rooms import rooms, way
@@ -32,7 +32,7 @@ def renderer(egl: None) -> Iterator[Renderer]:
     moving = box((0.0, 0.0, 0.0), RED, link="a"), box((0.0, 0.0, 0.0), BLUE, link="b")
     pane = box((3.0, 1.6, 1.0), (0.2, 0.4, 0.9, 0.4), (0.02, 2.0, 2.0))
     drawn = scene(*visuals, pane, *moving, links=("a", "b"))
-    with Renderer(drawn, loader=loader, detail_px=0.0) as one:
+    with Renderer(drawn, meshes=loader, options=RenderOptions(detail_px=0.0)) as one:
         yield one
 
 
@@ -95,7 +95,7 @@ def test_which_of_two_surfaces_at_one_depth_is_seen_does_not_depend_on_what_is_h
     links = ("hidden", "seen", "wall", "block")
     drawn = scene(*visuals, links=links)
     now = state(links, [(1.5, 0.9, 0.0), (3.0, -0.3, 0.0), (0.0, 0.0, 0.0), (3.0, -0.3, 0.0)])
-    with Renderer(drawn, loader=lambda s: meshes[s.mesh] if s.kind == "mesh" else primitive_mesh(s)) as one:
+    with Renderer(drawn, meshes=lambda s: meshes[s.mesh] if s.kind == "mesh" else primitive_mesh(s)) as one:
         camera = replace(EYE, outputs=OUTPUTS)
         (with_it, some), (without, every) = (_drawn(one, [camera], on, now, now) for on in (True, False))
     _assert_equal(with_it, without)

@@ -40,7 +40,7 @@ def flat(root: Path) -> tuple[DrawnScene, MeshLoader]:
 
 
 def _frame(drawn: DrawnScene, loader: MeshLoader) -> Frame:
-    with Renderer(drawn, loader=loader.shape) as renderer:
+    with Renderer(drawn, meshes=loader.shape) as renderer:
         return renderer.render(state(), [CAMERA])[0]
 
 
@@ -119,7 +119,7 @@ def test_an_image_that_cannot_be_read_leaves_the_surface_as_it_is_with_a_warning
 def test_a_tint_turns_the_colours_of_a_texture() -> None:
     texture = TextureSource("test", np.full((4, 4, 3), (200, 40, 40), dtype=np.uint8))
     mesh = facing_quad(1.0, 1.0, Material(base_color=(1.0, 1.0, 1.0, 1.0), texture=texture, unlit=True))
-    with Renderer(scene(replace(mesh_visual(), appearance=Appearance(hue=1 / 3))), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(replace(mesh_visual(), appearance=Appearance(hue=1 / 3))), meshes=loader_of(mesh)) as renderer:
         rgb = renderer.render(state(), [EYE])[0].rgb
     assert rgb is not None
     # A third of a turn takes red to green, and nothing else: unlit stays unlit.
@@ -144,7 +144,7 @@ def test_geometry_of_a_furnished_room_with_material_maps_stays_as_it_is(data_dir
     camera = eye_at((2.0, 2.0, 1.5), (-0.5, 0.0, 0.6), width=320, height=240, outputs=("rgb", *GEOMETRY))
     frames = []
     for one in (drawn, randomise(drawn, 7, LOOKS)):
-        with Renderer(one, loader=loader.shape) as renderer:
+        with Renderer(one, meshes=loader.shape) as renderer:
             frames.append(renderer.render(state(), [camera])[0])
     plain, changed = frames
     assert plain.rgb is not None and changed.rgb is not None

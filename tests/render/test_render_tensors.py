@@ -14,7 +14,7 @@ from gibson_sim.errors import RenderError
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.readback import tensors as tensors_module
 from gibson_sim.render.readback.cuda import CudaPython
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, EYE, GREEN, RED, box, eye_at, scene, state
 from support.cuda import fake_cuda, fetched
@@ -77,7 +77,7 @@ def test_tensors_on_the_gpu_are_the_frames_to_the_bit(
 ) -> None:
     if not with_torch:
         monkeypatch.setattr(tensors_module, "_import_torch", lambda: None)
-    with Renderer(scene(*THINGS, links=(LINK,)), device=nvidia[0].device.index) as renderer:
+    with Renderer(scene(*THINGS, links=(LINK,)), options=RenderOptions(device=nvidia[0].device.index)) as renderer:
         assert renderer.tensors_on.startswith("cuda:")
         wanted = renderer.render(NOW, CAMERAS, BEFORE)
         got = renderer.render_tensors(NOW, CAMERAS, BEFORE)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.geometry.transforms import matrix_from_quat, quat_from_rpy
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.robots.load import load_robot
 from gibson_sim.scenes.load import load_scene, with_robots
 from gibson_sim.scenes.spec import drawn_scene
@@ -132,7 +132,7 @@ def test_flat_is_the_same_as_for_the_rays_of_the_physics_engine(root: Path, star
         now = world.state()
         cast = world.cast_rays(*world_rays(_pose(now, lidar.link), lidar.directions), SIXTEEN.range_max, robot.name)
     drawn = drawn_scene(whole, now.links)
-    with Renderer(drawn, detail_px=0.0) as renderer:
+    with Renderer(drawn, options=RenderOptions(detail_px=0.0)) as renderer:
         scan = lidar.measure(now, renderer)
     classes = [drawn.semantic_classes.index(name) for name in NO_COLLISION]
     assert scan.semantic is not None

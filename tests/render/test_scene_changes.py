@@ -12,8 +12,9 @@ from gibson_sim.description.shapes import Appearance, Pattern, Shape, VisualSpec
 from gibson_sim.errors import SceneMismatchError
 from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Material, Mesh, TextureSource
+from gibson_sim.render.batching.scene_geometry import Loader
 from gibson_sim.render.context import gl as GL
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import OUTPUTS, Frame, Pose, SceneState
 from render.drawing import BLUE, DARK, EYE, GREEN, RED, box, eye_at, facing_quad, loader_of, scene, state
@@ -25,6 +26,7 @@ CAMERA = eye_at((-1.0, 0.0, 1.0), (3.0, 0.0, 0.0), outputs=OUTPUTS)
 WALL = replace(box((5.0, 0.0, 0.0), GREEN, (0.1, 8.0, 4.0)), name="wall", semantic_class="wall")
 PLACES = {"robot": (3.0, 1.0, 0.0), "crate": (3.0, -1.0, 0.0), "ball": (2.5, 0.0, 0.3)}
 LIT = LightSpec(sun=0.8, ambient=0.3, sun_direction=(0.5, 0.3, -1.0), shadows=True)
+FILES = MeshFiles()
 
 
 def _body(name: str, color=RED, label: str = "", shape: Shape | None = None, **changes: object) -> VisualSpec:
@@ -52,14 +54,14 @@ def _equal(one: Frame, other: Frame) -> bool:
     return all(np.array_equal(getattr(one, o), getattr(other, o), equal_nan=getattr(one, o).dtype.kind == "f") for o in OUTPUTS)
 
 
-def _fresh(drawn: DrawnScene, **settings: object) -> Frame:
-    with Renderer(drawn, **settings) as renderer:  # type: ignore[arg-type]
+def _fresh(drawn: DrawnScene, meshes: MeshFiles | Loader = FILES) -> Frame:
+    with Renderer(drawn, meshes) as renderer:
         return renderer.render(_state(drawn), [CAMERA])[0]
 
 
-def _changed(*scenes: DrawnScene, **settings: object) -> Frame:
+def _changed(*scenes: DrawnScene, meshes: MeshFiles | Loader = FILES) -> Frame:
     """Returns the picture of the last scene, after all scenes before it were drawn."""
-    with Renderer(scenes[0], **settings) as renderer:  # type: ignore[arg-type]
+    with Renderer(scenes[0], meshes) as renderer:
         renderer.render(_state(scenes[0]), [CAMERA])
         for drawn in scenes[1:]:
             renderer.update(drawn)
@@ -141,7 +143,7 @@ def test_materials_that_the_scene_did_not_have_before_are_drawn(material: Materi
     quad = facing_quad(0.0, 0.6, material)
     card = replace(CRATE, shape=Shape("mesh", mesh="/card"), color=None)
     after = _scene(ROBOT, card, revision=2, light=LIT)
-    assert _equal(_changed(_scene(ROBOT, light=LIT), after, loader=loader_of(quad)), _fresh(after, loader=loader_of(quad)))
+    assert _equal(_changed(_scene(ROBOT, light=LIT), after, meshes=loader_of(quad)), _fresh(after, meshes=loader_of(quad)))
 
 
 def test_a_changed_static_world_is_reloaded() -> None:
@@ -155,11 +157,11 @@ def test_changed_files_are_reloaded() -> None:
     quads = {name: loader_of(facing_quad(0.0, 0.6, Material(base_color=color))) for name, color in (("old", RED), ("new", GREEN))}
     content = "old"
     first, after = (replace(_scene(ROBOT, revision=k, static=(card,)), content_hash=name) for k, name in enumerate(quads, 1))
-    with Renderer(first, loader=lambda shape: quads[content](shape)) as renderer:
+    with Renderer(first, meshes=lambda shape: quads[content](shape)) as renderer:
         renderer.render(_state(first), [CAMERA])
         content = "new"
         assert renderer.update(after)
-        assert _equal(renderer.render(_state(after), [CAMERA])[0], _fresh(after, loader=quads["new"]))
+        assert _equal(renderer.render(_state(after), [CAMERA])[0], _fresh(after, meshes=quads["new"]))
         assert not renderer.update(replace(_scene(ROBOT, CRATE, revision=3, static=(card,)), content_hash="new"))
 
 
@@ -225,7 +227,7 @@ def alive(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 def test_two_hundred_cycles_leave_no_opengl_object_behind(alive: Counter[str]) -> None:
     meshes = _Meshes()
     card = replace(CRATE, shape=Shape("mesh", mesh="/card.glb"), color=None)
-    with Renderer(_scene(ROBOT, light=LIT), loader=meshes) as renderer:
+    with Renderer(_scene(ROBOT, light=LIT), meshes=meshes) as renderer:
         seen = []
         for k in range(200):
             for drawn in (_scene(ROBOT, card, BALL, revision=2 * k + 2, light=LIT), _scene(ROBOT, revision=2 * k + 3, light=LIT)):
@@ -242,14 +244,14 @@ def test_a_texture_comes_and_goes_with_its_body() -> None:
     meshes = _Meshes()
     card = replace(CRATE, shape=Shape("mesh", mesh="/card.glb"), color=None)
     after = _scene(ROBOT, card, revision=2)
-    with Renderer(_scene(ROBOT), loader=meshes) as renderer:
+    with Renderer(_scene(ROBOT), meshes=meshes) as renderer:
         renderer.update(after)
         assert renderer.info["textures"] == 1
         frame = renderer.render(_state(after), [CAMERA])[0]
         assert frame.rgb[frame.instance == 3] == pytest.approx(40, abs=1)
         renderer.update(_scene(ROBOT, revision=3))
         assert renderer.info["textures"] == 0
-    assert _equal(frame, _fresh(after, loader=meshes))
+    assert _equal(frame, _fresh(after, meshes=meshes))
 
 
 def test_equal_bodies_share_their_triangles() -> None:
@@ -275,8 +277,8 @@ def test_levels_of_detail_of_world_and_body_are_as_in_a_scene_loaded_whole() -> 
 
     after = _scene(ROBOT, rock, revision=2, static=(ground,))
     with detail_from(1000):
-        with Renderer(_scene(ROBOT, static=(ground,)), loader=loader) as renderer:
+        with Renderer(_scene(ROBOT, static=(ground,)), meshes=loader) as renderer:
             renderer.update(after)
             frame, drawn = renderer.render(_state(after), [CAMERA])[0], renderer.drawn_triangles
         assert drawn < 0.5 * renderer.info["triangles"], "levels of detail are in use"
-        assert _equal(frame, _fresh(after, loader=loader))
+        assert _equal(frame, _fresh(after, meshes=loader))

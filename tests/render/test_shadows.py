@@ -134,7 +134,7 @@ def test_masked_texels_cast_no_shadow() -> None:
     mesh = quad([(1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, -1.0, 1.0), (-1.0, 1.0, 1.0)], material)
     spots = np.array([[1.5, 0.5, 0.0], [1.5, -0.5, 0.0]])
     pixel, _ = project(transform_points(invert(matrix_from_pose(ABOVE.pose)), spots), ABOVE)
-    with Renderer(scene(mesh_visual(), FLOOR, light=SUN), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(mesh_visual(), FLOOR, light=SUN), meshes=loader_of(mesh)) as renderer:
         rgb = renderer.render(state(), [ABOVE])[0].rgb
     through, shaded = (int(rgb[round(v), round(u), 0]) for u, v in pixel)
     assert through > shaded + 50

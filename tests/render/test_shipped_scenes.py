@@ -11,7 +11,7 @@ import pytest
 from gibson_sim.maps.placement import populate
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.culling.closed_surfaces import NearPlaneTest
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.types import VelocityCommand
 from gibson_sim_tools.making.planning.shipped import SHIPPED
@@ -42,7 +42,7 @@ def test_a_scene_loads_drives_and_is_drawn(name: str, monkeypatch: pytest.Monkey
         drawn = drawn_scene(world.scene, world.links)
     camera = replace(drawn.cameras[0], width=160, height=120, outputs=("rgb", "depth", "semantic"))
     # Without levels of detail, which take long to make.
-    with Renderer(drawn, detail_px=0) as renderer:
+    with Renderer(drawn, options=RenderOptions(detail_px=0)) as renderer:
         frame = renderer.render(state, [camera])[0]
         monkeypatch.setattr(NearPlaneTest, "touches", lambda *_: True)  # closed surfaces are drawn with their back faces
         with_all_sides = renderer.render(state, [camera])[0]

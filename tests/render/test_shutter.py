@@ -33,7 +33,7 @@ def sheet() -> Renderer:
     """Returns a renderer of an upright sheet that covers y > 0."""
     d, h = DISTANCE, 20.0
     mesh = quad([(d, h, h), (d, 0.0, h), (d, 0.0, -h), (d, h, -h)], WHITE)
-    return Renderer(scene(mesh_visual(), links=("robot/eye",)), loader=loader_of(mesh))
+    return Renderer(scene(mesh_visual(), links=("robot/eye",)), meshes=loader_of(mesh))
 
 
 def see(camera: CameraSpec = CAMERA, previous: SceneState | None = None, **effects: float) -> Frame:

@@ -13,7 +13,7 @@ from gibson_sim.errors import RenderError
 from gibson_sim.formats.mesh import Material, Mesh
 from gibson_sim.render.context import open_context
 from gibson_sim.render.draw.target import RenderTarget
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, EYE, RED, box, draw, draw_mesh, eye_at, loader_of, mesh_visual, quad, scene, state
 from support.surfaces import bumpy_sphere, textured
@@ -98,7 +98,7 @@ CAMERA = eye_at((-2.2, 0.4, 0.8), look_at=(0.0, 0.0, 0.0), width=97, height=61, 
 def _plain_and_smooth(camera: CameraSpec) -> list[Frame]:
     drawn = scene(mesh_visual("robot/a"), box((1.0, 1.4, 0.0)), links=("robot/a",))
     now, before = (state(["robot/a"], [(0.0, y, 0.0)]) for y in (0.0, 0.05))
-    with Renderer(drawn, loader=loader_of(Mesh((bumpy_sphere(30),)))) as renderer:
+    with Renderer(drawn, meshes=loader_of(Mesh((bumpy_sphere(30),)))) as renderer:
         return [renderer.render(now, [replace(camera, samples=n)], before)[0] for n in (1, 4)]
 
 
@@ -129,7 +129,8 @@ def test_only_colours_are_interpolated_in_a_non_pinhole_image() -> None:
 def test_colours_off_edges_stay_as_they_are(unlit: bool) -> None:
     camera = replace(CAMERA, width=200, height=150)
     drawn = scene(mesh_visual(), box((1.0, 1.4, 0.0)))
-    with Renderer(drawn, loader=loader_of(Mesh((bumpy_sphere(30, material=textured("one", unlit)),))), detail_px=0.0) as renderer:
+    meshes = loader_of(Mesh((bumpy_sphere(30, material=textured("one", unlit)),)))
+    with Renderer(drawn, meshes, RenderOptions(detail_px=0.0)) as renderer:
         plain, smooth = (renderer.render(state(), [replace(camera, samples=n)])[0] for n in (1, 4))
     kernel = np.ones((3, 3), np.uint8)
     one = cv2.dilate(plain.instance, kernel) == cv2.erode(plain.instance, kernel)

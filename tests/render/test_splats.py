@@ -17,7 +17,7 @@ from gibson_sim.geometry.compiling import CAN_COMPILE
 from gibson_sim.geometry.projections import project
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.render.draw import splats as splats_module
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, SplatsSpec
 from gibson_sim.types import CameraSpec, Frame, Output, Pose, Vec3
 from render.drawing import BLUE, EYE, GREEN, box, eye_at, scene, state
@@ -48,7 +48,7 @@ def _red(*positions: Vec3, size: float = 0.03, opacity: float = 0.98) -> Splats:
 
 
 def _draw(drawn: DrawnScene, *cameras: CameraSpec, positions: tuple[Vec3, ...] = (), cull: bool = True) -> list[Frame]:
-    with Renderer(drawn, cull=cull) as renderer:
+    with Renderer(drawn, options=RenderOptions(cull=cull)) as renderer:
         return renderer.render(state(drawn.links, positions), list(cameras))
 
 
@@ -269,7 +269,7 @@ def test_a_file_that_cannot_be_drawn_is_one_line(tmp_path: Path) -> None:
         Renderer(replace(scene(), splats=spec))
     inside = _file(tmp_path, _red((1.0, 0.0, 0.0)))
     with pytest.raises(SceneError, match="outside the allowed folders: /nowhere"):
-        Renderer(replace(scene(), splats=inside), allowed_roots=[Path("/nowhere")])
+        Renderer(replace(scene(), splats=inside), meshes=MeshFiles(allowed_roots=[Path("/nowhere")]))
 
 
 def test_the_pose_of_a_camera_is_that_of_its_link(tmp_path: Path) -> None:

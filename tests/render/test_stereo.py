@@ -27,7 +27,7 @@ def _speckle() -> Material:
 @pytest.mark.parametrize("distance", [2.0, 3.7])
 def test_disparity_of_a_wall_is_the_focal_length_times_the_baseline_by_its_distance(distance: float) -> None:
     left, right = stereo_pair(replace(EYE, width=256, height=256), 0.1)
-    with Renderer(scene(mesh_visual()), loader=loader_of(facing_quad(distance, distance, _speckle()))) as renderer:
+    with Renderer(scene(mesh_visual()), meshes=loader_of(facing_quad(distance, distance, _speckle()))) as renderer:
         images = [cv2.cvtColor(f.rgb, cv2.COLOR_RGB2GRAY).astype(np.float64) for f in renderer.render(state(), [left, right])]
     # Focal length 128 px: at 2 m 6.4 px, at 3.7 m 3.459 px. A point is farther left in the right image.
     expected = 128.0 * 0.1 / distance

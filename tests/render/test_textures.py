@@ -9,7 +9,7 @@ import pytest
 
 from gibson_sim.formats.mesh import Material, TextureSource
 from gibson_sim.render.draw.scene_memory import _next_mip_level
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from render.drawing import EYE, facing_quad, loader_of, mesh_visual, scene, state
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
@@ -24,7 +24,7 @@ def smooth_picture(channels: int) -> np.ndarray:
 def drawn(channels: int, *, compress: bool) -> tuple[np.ndarray, float]:
     material = Material(texture=TextureSource("picture", smooth_picture(channels)), unlit=True, base_color=(1, 1, 1, 1))
     mesh = facing_quad(2.0, 2.0, material)
-    with Renderer(scene(mesh_visual()), loader=loader_of(mesh), compress_textures=compress) as renderer:
+    with Renderer(scene(mesh_visual()), meshes=loader_of(mesh), options=RenderOptions(compress_textures=compress)) as renderer:
         camera = replace(EYE, width=128, height=128)
         rgb = renderer.render(state(), [camera])[0].rgb
         assert rgb is not None

@@ -26,7 +26,7 @@ def colored_quad(colors, material: Material = WHITE) -> Mesh:
 
 
 def seen(mesh: Mesh, visual: VisualSpec) -> np.ndarray:
-    with Renderer(scene(visual), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(visual), meshes=loader_of(mesh)) as renderer:
         return renderer.render(state(), [EYE])[0].rgb[32, 32].astype(int)
 
 
@@ -111,7 +111,7 @@ def test_a_body_with_colours_and_a_texture_joins_a_scene_without():
 
     near = VisualSpec("near", "body/link", Shape("mesh", mesh="/near"))
     before, after = scene(far), scene(far, near, links=("body/link",))
-    with Renderer(before, loader=load) as renderer:
+    with Renderer(before, meshes=load) as renderer:
         assert renderer.render(state(), [EYE])[0].rgb[32, 32].tolist() == [0, 0, 255]
         assert not renderer.update(replace(after, revision=2))  # not reloaded
         rgb = renderer.render(state(["body/link"], [(0.0, 0.0, 0.0)], revision=2), [EYE])[0].rgb

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 import yaml
 
 from gibson_sim.client_config import NODE_CONFIGS, RecordConfig
-from gibson_sim.config import PhysicsConfig, parse_fill
+from gibson_sim.config import PhysicsConfig, parse_fill, robots_of
 from gibson_sim.errors import ConfigError
-from gibson_sim.settings import make_settings, setting_fields
+from gibson_sim.settings import make_settings, parts_of, setting_fields, setting_values
 from gibson_sim.types import CameraSpec
 
 
@@ -107,3 +109,52 @@ def test_shipped_parameter_file_is_allowed_and_equals_the_defaults(root: Path, n
     text = (root / "config" / f"{node}.param.yaml").read_text()
     values = yaml.safe_load(text)["/**"]["ros__parameters"]
     assert make_settings(NODE_CONFIGS[node], values) == NODE_CONFIGS[node]()
+
+
+def test_settings_of_all_parts_have_names_of_their_own() -> None:
+    names = [f.name for f in setting_fields(PhysicsConfig)]
+    assert len(names) == len(set(names)) == sum(len(fields(part)) for part in parts_of(PhysicsConfig).values())
+    assert set(names).isdisjoint(parts_of(PhysicsConfig))
+
+
+def test_values_by_name_go_to_their_parts_and_come_back() -> None:
+    config = make_settings(PhysicsConfig, {"step_hz": 120, "lockstep": True, "participants": "nav"})
+    assert (config.time.step_hz, config.time.publish_hz, config.sync.participants) == (120, 60, "nav")
+    values = setting_values(config)
+    assert (values["step_hz"], values["seed"]) == (120, 0)
+    assert make_settings(PhysicsConfig, values) == config
+
+
+def test_an_unknown_name_is_a_mistake_of_the_caller() -> None:
+    with pytest.raises(TypeError, match="step_hertz"):
+        PhysicsConfig.of(step_hertz=120)
+
+
+def test_a_limit_between_two_parts_is_checked() -> None:
+    with pytest.raises(ConfigError, match="setting 'camera_rate' is 90 Hz, must be at most 'publish_hz', 60 Hz"):
+        PhysicsConfig.of(camera_rate=90.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "robots"),
+    [
+        ("gibson_bot", (("", "gibson_bot"),)),
+        ("a/b.urdf", (("", "a/b.urdf"),)),
+        ("left=gibson_bot, right = arm_bot", (("left", "gibson_bot"), ("right", "arm_bot"))),
+    ],
+)
+def test_robots_of_a_setting_have_names_where_there_are_several(text: str, robots: tuple[tuple[str, str], ...]) -> None:
+    assert robots_of(text) == robots
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (" ", "robot is empty: name one, such as gibson_bot, or give its file"),
+        ("a=gibson_bot,b", "robot 'b' must be name=robot where there are several"),
+        ("a=gibson_bot,a=arm_bot", "two robots are named 'a'; names must be unique"),
+    ],
+)
+def test_robots_without_distinct_names_are_refused(text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        robots_of(text)

@@ -11,7 +11,8 @@
 Names in ``__all__`` are public: they change only with an entry in the changelog. All modules are private.
 
 Simulation      scene, robots, physics, sensors and renderer in one process; returns ``Robot``, ``SavedRun`` and ``Scan``
-Renderer        renders a scene at given states: all camera models, colour, depth, labels, normals, flow; without physics
+Renderer        renders a scene at given states: all camera models, colour, depth, labels, normals, flow; without physics;
+                ``MeshFiles`` and ``RenderOptions`` are its settings
 PhysicsWorld    physics without rendering: takes commands and steps, returns poses
 load_scene, load_robot, list_scenes, list_robots, list_objects, drawn_scene, camera_pose
 *Spec           descriptions of scenes, robots, bodies, cameras and light
@@ -34,7 +35,7 @@ __version__ = "0.1.0"
 
 _NAMES_OF_MODULE = {
     "gibson_sim.simulation": ("Body", "Robot", "SavedRun", "Simulation"),
-    "gibson_sim.render.renderer": ("Renderer",),
+    "gibson_sim.render.renderer": ("MeshFiles", "RenderOptions", "Renderer"),
     "gibson_sim.physics.world": ("PhysicsWorld",),
     "gibson_sim.resources": ("list_robots", "list_scenes"),
     "gibson_sim.scenes.load": ("load_scene",),
@@ -65,7 +66,7 @@ if TYPE_CHECKING:
     )  # fmt: skip
     from gibson_sim.geometry.transforms import camera_pose
     from gibson_sim.physics.world import PhysicsWorld
-    from gibson_sim.render.renderer import Renderer
+    from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
     from gibson_sim.resources import list_robots, list_scenes
     from gibson_sim.description.body import BodySpec
     from gibson_sim.robots.spec import RobotSpec
@@ -93,8 +94,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OUTPUTS", "Body", "BodySpec", "CameraSpec", "CommandError", "ConfigError", "Contact", "DepthNoise", "DrawnScene", "EnvironmentProblemError",
-    "Frame", "GibsonSimError", "GraphicsUnavailableError", "ImageEffects", "JointStates", "LightSpec", "MeshError", "Odometry",
-    "PhysicsError", "PhysicsWorld", "PointLight", "Pose", "RenderError", "Renderer", "Robot", "RobotError", "RobotSpec", "SavedRun",
+    "Frame", "GibsonSimError", "GraphicsUnavailableError", "ImageEffects", "JointStates", "LightSpec", "MeshError",
+    "MeshFiles", "Odometry",
+    "PhysicsError", "PhysicsWorld", "PointLight", "Pose", "RenderError", "RenderOptions", "Renderer", "Robot", "RobotError", "RobotSpec", "SavedRun",
     "Scan", "SceneError", "SceneMismatchError", "SceneNotFoundError", "SceneSpec", "SceneState", "Simulation", "SpawnError", "StartError",
     "VelocityCommand", "camera_pose", "drawn_scene", "list_objects", "list_robots", "list_scenes", "load_robot", "load_scene",
 ]  # fmt: skip

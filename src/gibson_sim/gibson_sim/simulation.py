@@ -53,7 +53,7 @@ from gibson_sim.types import (
 
 if TYPE_CHECKING:
     from gibson_sim.render.readback.tensors import TensorFrame
-    from gibson_sim.render.renderer import Renderer
+    from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 
 Reading = ImuReading | BumperReading | BatteryReading
 
@@ -676,7 +676,7 @@ class Simulation:
         if self._renderer is not None and self._loaded is drawn:
             return self._renderer
         if self._renderer is None:
-            self._renderer = Renderer(drawn, device=self._device, cache=default_folder())
+            self._renderer = Renderer(drawn, meshes=MeshFiles(cache=default_folder()), options=RenderOptions(device=self._device))
         else:
             self._renderer.update(drawn)
         self._loaded = drawn

@@ -12,7 +12,7 @@ import numpy as np
 
 from gibson_sim.geometry.transforms import quat_from_matrix
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import drawn_scene
@@ -36,9 +36,8 @@ class GibsonSim:
     def __init__(self, scene: str, detail_px: float, device: int | str | None = None) -> None:
         logging.disable(logging.WARNING)
         spec = load_scene(Path(scene))
-        self._renderer = Renderer(
-            drawn_scene(spec, ()), device=device, allowed_roots=scene_roots(spec), detail_px=detail_px, cache=default_folder()
-        )
+        meshes = MeshFiles(allowed_roots=scene_roots(spec), cache=default_folder())
+        self._renderer = Renderer(drawn_scene(spec, ()), meshes, RenderOptions(device=device, detail_px=detail_px))
         info = self._renderer.info
         names = ("renderer", "version", "triangles", "textures")
         self.info = {name: str(info[name]) for name in names}

@@ -22,7 +22,7 @@ from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.maps.free_poses import random_free_poses
 from gibson_sim.maps.placement import populate
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
@@ -168,7 +168,9 @@ def _case(kind: str, value: int, frames: int) -> tuple[float, float]:
 def _images(kind: str, value: int, frames: int, stack: ExitStack) -> Callable[[], Any]:
     scene = bench_scene(f"rooms:{value}" if kind == "triangles" else ROOMS)
     spec = load_scene(scene.path)
-    renderer = stack.enter_context(Renderer(drawn_scene(spec, ()), allowed_roots=scene_roots(spec), cache=default_folder()))
+    renderer = stack.enter_context(
+        Renderer(drawn_scene(spec, ()), meshes=MeshFiles(allowed_roots=scene_roots(spec), cache=default_folder()))
+    )
     views = value if kind == "cameras" else 1
     size = {"resolution": value, "cameras": 128}.get(kind, SIZE)
     path = [pose_of(T.ravel().tolist()) for T in camera_path(scene, max(frames, views) + 5)]

@@ -25,7 +25,7 @@ from gibson_sim.render.draw.effects import Average
 from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.render.filling.hole_filling import HoleFilling
 from gibson_sim.render.readback.frames import Readback, TargetImage
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import DrawnScene, drawn_scene
@@ -95,10 +95,10 @@ class RendererPair:
     """Two renderers of a scene: one unmodified, one whose OpenGL calls are timed; hole filling is timed in both."""
 
     def __init__(self, scene: DrawnScene, device: int | str | None, roots: list[Path] | None, stack: ExitStack) -> None:
-        options: dict[str, Any] = {"device": device, "cache": default_folder(), "allowed_roots": roots}
-        self.plain = stack.enter_context(Renderer(scene, **options))
+        meshes, options = MeshFiles(allowed_roots=roots, cache=default_folder()), RenderOptions(device=device)
+        self.plain = stack.enter_context(Renderer(scene, meshes, options))
         self.clock: Clock = stack.enter_context(_opengl_calls())
-        self._timed = stack.enter_context(Renderer(scene, **options))
+        self._timed = stack.enter_context(Renderer(scene, meshes, options))
         self._readback = Readback(self._timed.context)
         self._finish = GL.Gl(self._timed.context).glFinish
         self._fill = stack.enter_context(timed_hole_filling(self._finish))
@@ -109,13 +109,20 @@ class RendererPair:
         self.clock.pop_ms()
         self._fill.pop_ms()
         began = time.perf_counter_ns()
-        ((target, shots, _),) = self._timed.drawn(state, [camera])
-        self._finish()
-        drawn = time.perf_counter_ns()
-        values, filling = {OPENGL: self.clock.pop_ms()}, self._fill.pop_ms()
-        (frame,) = self._readback.frames(target, shots)
-        values |= {"draw": (drawn - began) / 1e6 - filling, "read back": (time.perf_counter_ns() - drawn) / 1e6}
-        return frame, values | ({"fill": filling} if camera.fill else {})
+        values: dict[str, float] = {}
+        frames: list[Frame] = []
+
+        def read(target: RenderTarget, shots: list[TargetImage], _: list[int]) -> None:
+            self._finish()
+            drawn = time.perf_counter_ns()
+            values[OPENGL], filling = self.clock.pop_ms(), self._fill.pop_ms()
+            frames.extend(self._readback.frames(target, shots))
+            values["draw"], values["read back"] = (drawn - began) / 1e6 - filling, (time.perf_counter_ns() - drawn) / 1e6
+            values.update({"fill": filling} if camera.fill else {})
+
+        self._timed.draw(state, [camera], None, read)
+        (frame,) = frames
+        return frame, values
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.render.readback.frames import TargetImage
 from gibson_sim.render.readback.pixel_buffers import PendingFrames
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Output, Pose
 from gibson_sim_bench import timing
@@ -99,7 +99,7 @@ def measure(
     visual = VisualSpec("rooms", "", Shape("mesh", mesh="/rooms"), semantic_class="building")
     scene = DrawnScene("bench", 1, "", (), (visual,), (), LightSpec())
     cases: list[TensorCase] = []
-    with Renderer(scene, device=device, loader=_loader(mesh)) as renderer:
+    with Renderer(scene, meshes=_loader(mesh), options=RenderOptions(device=device)) as renderer:
         for name, size, views, outputs, call, finish in _cases(renderer):
             rates = _rates(call, finish, _cameras(size, views, outputs, blocks * calls), blocks, calls)
             found = timing.spread([rate * views for rate in rates])
@@ -200,7 +200,9 @@ class FloatRgba:
 
     def __call__(self, cameras: list[CameraSpec]) -> list[NDArray[np.float32]]:
         """Returns the image of each camera, (H, W, 4) float32."""
-        return [image for target, shots, _ in self._renderer.drawn(STILL, cameras) for image in self.read(target, shots)]
+        images: list[NDArray[np.float32]] = []
+        self._renderer.draw(STILL, cameras, None, lambda target, shots, _: images.extend(self.read(target, shots)))
+        return images
 
     def read(self, target: RenderTarget, shots: Sequence[TargetImage]) -> list[NDArray[np.float32]]:
         """Returns each image, (H, W, 4) float32."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -42,6 +42,38 @@ from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, SplatsSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 
+ReadTarget = Callable[[RenderTarget, list[TargetImage], list[int]], None]
+"""Reads a target: its images, and the index of the camera of each."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeshFiles:
+    """Meshes are read from their files."""
+
+    allowed_roots: Sequence[Path] | None = None
+    """Folders that meshes and textures must lie in; None = the parents of the meshes' folders, or those of a ``SceneSpec``."""
+    cache: Path | None = None
+    """Folder of the scene cache (``render.cache.default_folder()``); None = no cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """Device of a renderer, and how it draws."""
+
+    device: int | str | None = None
+    """EGL device, by number or UUID (see ``gibson-sim doctor``); None = the first GPU that works, else software."""
+    library: str = LIBRARY
+    """Name of the EGL library."""
+    detail_px: float = DETAIL_PX
+    """Largest screen-space error of levels of detail, pixels, in scenes of 50,000 triangles or more; 0 = draw every triangle."""
+    compress_textures: bool = False
+    """Store the textures of materials compressed (S3TC): an eighth of the memory, a quarter with alpha; colours change slightly."""
+    cull: bool = True
+    """View-frustum and occlusion culling; False only to verify that culling changes no image."""
+    share_targets: bool = True
+    """Draw cameras with the same outputs side by side into one target, which is faster for small images. The position in the target changes
+    the driver's rounding: False = the bits of an image do not depend on the cameras drawn with it."""
+
 
 class Renderer:
     """Renders a scene. One thread creates, uses and closes it; several renderers may exist at once.
@@ -52,18 +84,8 @@ class Renderer:
 
     Args:
         scene: a scene from ``load_scene``, drawn without its robots and bodies, or a scene with links (``drawn_scene``).
-        device: EGL device, by number or UUID (see ``gibson-sim doctor``); None = the first GPU that works, else software.
-        library: name of the EGL library.
-        loader: returns the mesh of a shape; None = read the mesh files.
-        allowed_roots: folders that meshes and textures must lie in; None = the parents of the meshes' folders.
-        detail_px: largest screen-space error of levels of detail, pixels, in scenes of 50,000 triangles or more; 0 = draw every
-            triangle.
-        compress_textures: store the textures of materials compressed (S3TC): an eighth of the memory, a quarter with alpha; colours
-            change slightly.
-        cull: view-frustum and occlusion culling; False only to verify that culling changes no image.
-        cache: folder of the scene cache (``render.cache.default_folder()``); None = no cache. Not used with a ``loader``.
-        share_targets: draw cameras with the same outputs side by side into one target, which is faster for small images. The position in
-            the target changes the driver's rounding: False = the bits of an image do not depend on the cameras drawn with it.
+        meshes: files to read meshes from, or a function that returns the mesh of a shape.
+        options: device, and how to draw.
         progress: called with the current stage of loading and its progress, 0 to 1.
 
     Raises:
@@ -73,16 +95,9 @@ class Renderer:
     def __init__(
         self,
         scene: DrawnScene | SceneSpec,
+        meshes: MeshFiles | Loader = MeshFiles(),
+        options: RenderOptions = RenderOptions(),
         *,
-        device: int | str | None = None,
-        library: str = LIBRARY,
-        loader: Loader | None = None,
-        allowed_roots: Sequence[Path] | None = None,
-        detail_px: float = DETAIL_PX,
-        compress_textures: bool = False,
-        cull: bool = True,
-        cache: Path | None = None,
-        share_targets: bool = True,
         progress: Progress | None = None,
     ) -> None:
         self._context: GlContext | None = None
@@ -97,18 +112,20 @@ class Renderer:
         self._tensors: Tensors | None = None
         self._camera_images: CameraImages | None = None
         self._thread, self._process = threading.get_ident(), os.getpid()
+        files = meshes if isinstance(meshes, MeshFiles) else MeshFiles()
+        self._loader: Loader | None = None if isinstance(meshes, MeshFiles) else meshes
+        self._allowed_roots, self._cache = files.allowed_roots, files.cache
         if isinstance(scene, SceneSpec):
-            allowed_roots = scene_roots(scene) if allowed_roots is None else allowed_roots
+            self._allowed_roots = scene_roots(scene) if self._allowed_roots is None else self._allowed_roots
             scene = drawn_scene(replace(scene, robots=(), bodies=()), ())
-        self._loader, self._allowed_roots, self._cache = loader, allowed_roots, cache
         self._mesh_loader: MeshLoader | None = None
-        self._detail_px, self._compress, self._cull, self._share_targets = detail_px, compress_textures, cull, share_targets
+        self._options = options
         self.warnings: tuple[str, ...] = ()
         """One line for each item that the last load or update could not load, and omitted or replaced."""
         self.info: dict[str, Any] = {}
         """Properties of the device, and sizes of the scene."""
         try:
-            self._context = open_context(device, library=library)
+            self._context = open_context(options.device, library=options.library)
             self._readback = Readback(self._context)
             self._pixel_buffers = PixelBuffers(self._context)
             self._load(scene, progress)
@@ -118,9 +135,10 @@ class Renderer:
 
     def _load(self, scene: DrawnScene, progress: Progress | None) -> None:
         """Loads a scene and replaces the current one, if any. Reads all meshes again: their files may have changed."""
-        geometry = _load_geometry(scene, self._loader, self._allowed_roots, self._detail_px > 0.0, self._cache, progress)
+        options = self._options
+        geometry = _load_geometry(scene, self._loader, self._allowed_roots, options.detail_px > 0.0, self._cache, progress)
         gl_scene = GlScene(
-            self.context, geometry, scene.light, detail_px=self._detail_px, compress=self._compress, cull=self._cull
+            self.context, geometry, scene.light, detail_px=options.detail_px, compress=options.compress_textures, cull=options.cull
         )  # fmt: skip
         try:
             splats = self._splats_of(scene)
@@ -133,8 +151,8 @@ class Renderer:
         self._mesh_loader = None
         self._splats, self._splats_of_scene = splats, (scene.splats, scene.content_hash)
         self._scene = gl_scene
-        self._camera_images = CameraImages(self.context, gl_scene, splats, share_targets=self._share_targets)
-        self._composition = Composition(scene, geometry, self._loader_of, levels_of_detail=self._detail_px > 0.0)
+        self._camera_images = CameraImages(self.context, gl_scene, splats, share_targets=options.share_targets)
+        self._composition = Composition(scene, geometry, self._loader_of, levels_of_detail=options.detail_px > 0.0)
         self._describe(scene, geometry, (*geometry.warnings, *gl_scene.warnings))
 
     def _splats_of(self, scene: DrawnScene) -> SplatPass | None:
@@ -147,7 +165,7 @@ class Renderer:
             raise SceneError(f"{path}: lies outside the allowed folders: {', '.join(map(str, self._allowed_roots))}")
         T_world_file = matrix_from_pose(spec.pose)
         T_world_file[:3, :3] *= spec.scale
-        return SplatPass(self.context, load_splats(path), T_world_file, cull=self._cull)
+        return SplatPass(self.context, load_splats(path), T_world_file, cull=self._options.cull)
 
     def update(self, scene: DrawnScene, progress: Progress | None = None) -> bool:
         """Replaces the scene by another revision and sets ``warnings``.
@@ -220,8 +238,11 @@ class Renderer:
             RenderError: the renderer is closed, another thread calls it, or an image is too large for the driver.
         """
         frames: dict[int, Frame] = {}
-        for target, images, numbers in self.drawn(state, cameras, previous):
+
+        def read(target: RenderTarget, images: list[TargetImage], numbers: list[int]) -> None:
             frames.update(zip(numbers, self._readback.frames(target, images), strict=True))
+
+        self.draw(state, cameras, previous, read)
         return [frames[k] for k in range(len(cameras))]
 
     def start(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> PendingFrames:
@@ -232,9 +253,12 @@ class Renderer:
         reads = []
         buffers, context = self._pixel_buffers, self.context
         assert buffers is not None
+
+        def read(target: RenderTarget, images: list[TargetImage], numbers: list[int]) -> None:
+            reads.append((buffers.start(target, needed(target, images)), images, numbers))
+
         try:
-            for target, images, numbers in self.drawn(state, cameras, previous):
-                reads.append((buffers.start(target, needed(target, images)), images, numbers))
+            self.draw(state, cameras, previous, read)
         except GibsonSimError:
             PendingFrames(context, buffers, reads).discard()
             raise
@@ -248,8 +272,11 @@ class Renderer:
         if not tensors.on_gpu:
             return tensors.of_frames(self.render(state, cameras, previous))
         frames: dict[int, TensorFrame] = {}
-        for target, images, numbers in self.drawn(state, cameras, previous):
+
+        def read(target: RenderTarget, images: list[TargetImage], numbers: list[int]) -> None:
             frames.update(zip(numbers, tensors.of_target(target, images), strict=True))
+
+        self.draw(state, cameras, previous, read)
         return [frames[k] for k in range(len(cameras))]
 
     @property
@@ -280,13 +307,8 @@ class Renderer:
             self._tensors = Tensors(self.context)
         return self._tensors
 
-    def drawn(
-        self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None
-    ) -> Iterator[tuple[RenderTarget, list[TargetImage], list[int]]]:
-        """Renders, and yields each target with its images and the indices of their cameras.
-
-        Read a target before advancing to the next one. For arguments and errors see ``render``.
-        """
+    def draw(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None, read: ReadTarget) -> None:
+        """Renders, and calls ``read`` with each target while it holds its images. For other arguments and errors see ``render``."""
         self._check_usable()
         assert self._camera_images is not None and self._context is not None
         T_world_links = self._link_matrices(state)
@@ -308,7 +330,7 @@ class Renderer:
             self._draw(target, single, T_world_links, T_previous)
             for k, image in zip(group.numbers, images, strict=True):
                 self._finish_image(target, image, plans[k] if image not in single else (), T_previous)
-            yield target, images, list(group.numbers)
+            read(target, images, list(group.numbers))
 
     def _check_usable(self) -> None:
         if self._camera_images is None or self._context is None:

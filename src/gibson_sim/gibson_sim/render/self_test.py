@@ -18,7 +18,7 @@ from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.errors import RenderError
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import Renderer, RenderOptions
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState, Vec3
 
@@ -86,7 +86,7 @@ def self_test(device: int | str | None = None) -> str:
     visuals = tuple(VisualSpec(p.name, "", Shape("mesh", mesh=f"/{p.name}"), semantic_class=p.name) for p in _PLATES)
     state = SceneState.still()
     scene = DrawnScene("self test", 1, "", (), visuals, (eye,), LightSpec(background=(0.0, 0.0, 0.0)))
-    with Renderer(scene, device=device, loader=_loader()) as renderer:
+    with Renderer(scene, meshes=_loader(), options=RenderOptions(device=device)) as renderer:
         frame = renderer.render(state, (eye,))[0]
         info = renderer.info
     problems = compare(frame)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.description.shapes import Appearance, Shape, VisualSpec
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.randomise import Rules, randomise
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight
 from gibson_sim.sensors.depth_noise import apply_depth_noise
@@ -59,7 +59,7 @@ def gallery(scene: DrawnScene, position: Pose, rules: Rules, cache: Path | None 
     """
     rigged = replace(scene, links=(_RIG,), visuals=tuple(v for v in scene.visuals if not v.link), cameras=())
     state, previous = _states(position, rigged.revision)
-    with Renderer(rigged, cache=cache) as renderer:
+    with Renderer(rigged, meshes=MeshFiles(cache=cache)) as renderer:
         rows = [
             list(_outputs(renderer, state, previous)),
             list(_cameras(renderer, state)),

@@ -30,7 +30,7 @@ from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
 from gibson_sim.maps.free_poses import random_free_poses
 from gibson_sim.reading import read_file
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
@@ -176,8 +176,8 @@ def drawn_pairs(scanned: ScannedScene, cameras: Sequence[CameraSpec]) -> Iterato
     scene = drawn_scene(scanned.scene, tuple(f"{body.name}/{link}" for body in scanned.scene.bodies for link in body.links))
     state, still = _standing(scanned.scene, scene.links), SceneState.still()
     with (
-        Renderer(scene, cache=default_folder()) as clean,
-        Renderer(drawn_scene(scanned.scan, ()), cache=default_folder()) as scan,
+        Renderer(scene, meshes=MeshFiles(cache=default_folder())) as clean,
+        Renderer(drawn_scene(scanned.scan, ()), meshes=MeshFiles(cache=default_folder())) as scan,
     ):
         for first in range(0, len(cameras), _BATCH):
             some = cameras[first : first + _BATCH]

@@ -22,7 +22,7 @@ from gibson_sim.maps.bodies import link_transforms
 from gibson_sim.maps.free_poses import random_free_poses
 from gibson_sim.maps.paths import PathPlanner
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, randomise
 from gibson_sim.scenes.spec import DrawnScene, drawn_scene
 from gibson_sim.tasks.episode import item_body
@@ -232,7 +232,7 @@ def _rendered(world: World, rng: np.random.Generator, poses: F64, recolour: bool
         replace(camera_at(x, y, yaw, floor_z, each), width=size[0], height=size[1], outputs=("rgb", "normal_world", "position"))
         for (x, y, yaw), each in zip(poses.tolist(), lenses, strict=True)
     ]
-    with Renderer(scene, cache=None if recolour else default_folder()) as renderer:
+    with Renderer(scene, meshes=MeshFiles(cache=None if recolour else default_folder())) as renderer:
         state = _standing(scene, bodies)
         for first in range(0, len(specs), _BATCH):
             yield from renderer.render(state, specs[first : first + _BATCH])

@@ -14,7 +14,7 @@ from gibson_sim.description.body import BodySpec
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy, quat_from_rpy
 from gibson_sim.maps.bodies import link_transforms
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, randomise
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Output, Pose, SceneState
@@ -113,7 +113,7 @@ class Drawing:
         self._revision += 1
         scene = replace(scene, revision=self._revision)
         if self._renderer is None:
-            self._renderer = Renderer(scene, cache=self._cache)
+            self._renderer = Renderer(scene, meshes=MeshFiles(cache=self._cache))
         else:
             self._renderer.update(scene)
 

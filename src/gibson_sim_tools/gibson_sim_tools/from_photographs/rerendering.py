@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gibson_sim.filling.holes import SURFACE, is_hole
 from gibson_sim.geometry.transforms import pose_from_matrix
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, Output, SceneState
 from gibson_sim_tools.photographs.photographs import Photographs
@@ -52,7 +52,7 @@ def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str)
     """
     still = static_scene(scene)
     observed_instances = [number for number, name in enumerate(still.instances) if number and name != unseen]
-    with Renderer(still, cache=default_folder()) as renderer:
+    with Renderer(still, meshes=MeshFiles(cache=default_folder())) as renderer:
 
         def render(number: int, fill: str = "", region: str = ALL) -> RenderedImage:
             intrinsics = photographs.intrinsics(number)

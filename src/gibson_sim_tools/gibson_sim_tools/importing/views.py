@@ -17,7 +17,7 @@ from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, FloorMap, floor_name, mak
 from gibson_sim.maps.traversability import scene_triangles
 from gibson_sim.quoting import quoted
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.scene_meshes import collision_triangles
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Pose, SceneState
@@ -98,7 +98,7 @@ def gallery_of_scenes(scenes: Iterable[SceneSpec], views: int) -> Rgb:
 def _static_renderer(scene: SceneSpec) -> Renderer:
     """Returns a renderer of a scene with its bodies at their initial poses."""
     static_scene = replace(scene, visuals=still_visuals(scene), robots=(), bodies=())
-    return Renderer(drawn_scene(static_scene, ()), cache=default_folder())
+    return Renderer(drawn_scene(static_scene, ()), meshes=MeshFiles(cache=default_folder()))
 
 
 def _rendered(renderer: Renderer, scene: SceneSpec, camera: CameraSpec) -> Rgb:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from gibson_sim import __version__
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
 from gibson_sim.picture_files import write_picture
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import NS_PER_S, CameraSpec, Frame, Output, SceneState
 from gibson_sim.writing import write_file
@@ -92,7 +92,7 @@ def scan(
     resumed_plan = _resumed_plan(folder, scene, settings)
     links = tuple(f"scanner/{k}" for k in range(_BATCH_SIZE))
     static = static_scene(scene, links)
-    with Renderer(static, cache=cache) as renderer:
+    with Renderer(static, meshes=MeshFiles(cache=cache)) as renderer:
         plan = resumed_plan or _plan(scene, settings, _RigRenderer(renderer, static.revision, links), progress)
         if resumed_plan is None:
             _write_headers(folder, scene, settings, plan)

@@ -7,7 +7,7 @@ from pathlib import Path
 from gibson_sim.config import RenderConfig
 from gibson_sim.render.batching.scene_geometry import Progress
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 from gibson_sim.scenes.spec import DrawnScene
 
 
@@ -22,13 +22,11 @@ def open_renderer(scene: DrawnScene, config: RenderConfig, progress: Progress | 
     Cameras do not share targets: an image must not depend on which other topics have subscribers.
     """
     cache = None if config.cache == "none" else Path(config.cache) if config.cache else default_folder()
-    return Renderer(
-        scene,
+    options = RenderOptions(
         device=device_of(config),
         library=config.egl_library,
         detail_px=config.detail_px,
         compress_textures=config.compress_textures,
-        cache=cache,
         share_targets=False,
-        progress=progress,
     )
+    return Renderer(scene, MeshFiles(cache=cache), options, progress=progress)
