@@ -1,11 +1,14 @@
-"""Settings as dataclass fields with default, unit, limits and description, and their validation."""
+"""Settings as dataclass fields with default, unit, limits and description, and their validation.
+
+Settings of nodes, requests of a page (``web.requests``) and tools of an agent (``agents.tools``) are such dataclasses.
+"""
 
 from __future__ import annotations
 
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import Field, field, fields, is_dataclass
+from dataclasses import Field, dataclass, field, fields, is_dataclass
 from typing import Any, ClassVar, Literal, Protocol, TypeVar
 
 from gibson_sim.errors import ConfigError
@@ -16,6 +19,8 @@ Names = Literal["", "scene", "robots", "drive", "rules", "views", "file", "parti
 """Kind of the name that a text setting contains; "" = none that can be looked up."""
 
 
+MAX_TEXT = 512
+"""Largest length of a text of ``Arguments``, characters."""
 _FLOAT_BITS = 1024
 """Size of the smallest integers that no float represents, bits."""
 
@@ -112,6 +117,56 @@ def check_settings(settings: Settings, kind: str = "setting") -> None:
             raise ConfigError(
                 f"{what} is {quoted(value)}, must be one of {', '.join(f.metadata['choices'])}{f'; {hint}' if hint else ''}"
             )
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Base of settings whose values come as JSON from outside: texts are printable and at most ``MAX_TEXT`` long."""
+
+    required: ClassVar[tuple[str, ...]] = ()
+    """Settings that must be given; a text must not be empty."""
+
+    def __post_init__(self) -> None:
+        """Checks all arguments.
+
+        Raises:
+            ConfigError: one is not allowed.
+        """
+        check_settings(self, "argument")
+
+
+A = TypeVar("A", bound=Arguments)
+
+
+def read_arguments(cls: type[A], name: str, given: Mapping[str, Any]) -> A:
+    """Returns arguments given as JSON values; null = not given, and 2.0 is the whole number 2.
+
+    Args:
+        cls: class of the arguments.
+        name: what they are for, for messages.
+        given: values by name.
+
+    Raises:
+        ConfigError: an argument is unknown, missing or not allowed.
+    """
+    known = {f.name: f for f in fields(cls)}
+    values: dict[str, Any] = {}
+    for key, value in given.items():
+        if key not in known:
+            hint, listed = nearest(key, list(known)), ", ".join(known) or "none"
+            raise ConfigError(f"argument {quoted(key)} of {name} is unknown{f'; {hint}' if hint else ''}; it has: {listed}")
+        if isinstance(value, str) and (len(value) > MAX_TEXT or not value.isprintable()):
+            raise ConfigError(f"argument {quoted(key)} is {quoted(value)}, must be at most {MAX_TEXT} printable characters")
+        is_whole = type(known[key].default) is int and isinstance(value, float) and value.is_integer()
+        if value is not None:
+            values[key] = int(value) if is_whole else value
+    for key in cls.required:
+        if values.get(key, "") == "":
+            unit = known[key].metadata["unit"]
+            raise ConfigError(
+                f"argument {quoted(key)} of {name} is missing: {known[key].metadata['doc']}{f', {unit}' if unit else ''}"
+            )
+    return cls(**values)
 
 
 def limits_of(f: Field[Any]) -> str:

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
-from gibson_sim.settings import check_settings, nearest, setting
-from gibson_sim.web.requests import MAX_COORDINATE, MAX_SEED, MAX_SPEED, MAX_TEXT, MAX_TURN
+from gibson_sim.settings import MAX_TEXT, Arguments, nearest, read_arguments, setting
+from gibson_sim.web.requests import MAX_COORDINATE, MAX_SEED, MAX_SPEED, MAX_TURN
 
 MAX_SECONDS = 30.0
 """Longest time that one call simulates, s of simulation time: many agents give up on a call after a minute."""
@@ -21,21 +21,11 @@ _TYPES: dict[type, str] = {bool: "boolean", int: "integer", float: "number", str
 
 
 @dataclass(frozen=True)
-class Tool:
+class Tool(Arguments):
     """Base of the tools."""
 
-    required: ClassVar[tuple[str, ...]] = ()
-    """Arguments that must be given."""
     changes: ClassVar[bool] = True
     """Whether the tool changes the simulation or writes files; taking a picture does not, although it may take a few ticks of time."""
-
-    def __post_init__(self) -> None:
-        """Checks all arguments.
-
-        Raises:
-            ConfigError: one is not allowed.
-        """
-        check_settings(self, "argument")
 
 
 def _x() -> Any:
@@ -311,25 +301,4 @@ def parse_call(name: str, given: Mapping[str, Any]) -> Tool:
     if tool is None:
         hint = nearest(name, list(TOOLS))
         raise ConfigError(f"tool {quoted(name)} is unknown{f'; {hint}' if hint else ''}; known: {', '.join(TOOLS)}")
-    known = {f.name: f for f in fields(tool)}
-    values: dict[str, Any] = {}
-    for key, value in given.items():
-        if key not in known:
-            hint = nearest(key, list(known))
-            listed = ", ".join(known) or "none"
-            raise ConfigError(f"argument {quoted(key)} of {name} is unknown{f'; {hint}' if hint else ''}; it has: {listed}")
-        if value is not None:
-            values[key] = _read(key, value, type(known[key].default))
-    for key in tool.required:
-        if values.get(key, "") == "":
-            raise ConfigError(f"argument {quoted(key)} of {name} is missing: {_property(tool, known[key])['description']}")
-    return tool(**values)
-
-
-def _read(key: str, value: Any, kind: type[Any]) -> Any:
-    """Returns a JSON value as the argument's type where it is the same number; checks the length of a text."""
-    if kind is int and isinstance(value, float) and value.is_integer():
-        return int(value)
-    if isinstance(value, str) and (len(value) > MAX_TEXT or not value.isprintable()):
-        raise ConfigError(f"argument {quoted(key)} is {quoted(value)}, must be at most {MAX_TEXT} printable characters")
-    return value
+    return read_arguments(tool, name, given)

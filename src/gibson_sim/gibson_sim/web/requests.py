@@ -1,21 +1,21 @@
-"""Requests of a page: one JSON object per message, validated before use."""
+"""Requests of a page: one JSON object per message, a dataclass each, validated before use."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from gibson_sim.client_config import TASK_NAMES
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
+from gibson_sim.settings import MAX_TEXT, Arguments, nearest, read_arguments, setting
 
 MAX_BYTES = 4096
 """Largest length of a page's message, characters."""
 MAX_VIDEOS = 16
 """Largest number of videos of one page."""
-MAX_TEXT = 512
-"""Largest length of a name or a URI, characters."""
 MAX_COORDINATE = 1e6
 """Largest coordinate, metres."""
 MAX_SPEED, MAX_TURN = 10.0, 20.0
@@ -26,297 +26,227 @@ MAX_RATE = 1000.0
 MAX_CURVES = 16
 """Largest number of curves of one page."""
 MAX_SEED = 2**31 - 1
-
-TimeAction = Literal["play", "pause", "step", "reset"]
 BASELINES = ("none", "scripted", "careful", "random")
 
 
-class PageRequestError(GibsonSimError):
-    """A message of a page is not a valid request; the error is sent to the page."""
+def _speed(doc: str) -> Any:
+    return setting(0.0, doc, unit="m/s", minimum=-MAX_SPEED, maximum=MAX_SPEED)
 
 
-@dataclass(frozen=True, slots=True)
+def _coordinate(doc: str) -> Any:
+    return setting(0.0, doc, unit="m", minimum=-MAX_COORDINATE, maximum=MAX_COORDINATE)
+
+
+def _height() -> Any:
+    return _coordinate("Height of the floor that the page shows")
+
+
+def _yaw() -> Any:
+    return setting(0.0, "Heading on the map, counter-clockwise", unit="rad", minimum=-100.0, maximum=100.0)
+
+
+def _robot() -> Any:
+    return setting("", "Namespace of the robot; empty = the robot without a namespace, or the first by name")
+
+
+@dataclass(frozen=True)
 class Watch:
     """Sets the videos that the page shows; none while it is hidden."""
 
     topics: tuple[str, ...]
 
+    @classmethod
+    def read(cls, given: Mapping[str, Any]) -> Watch:
+        """Returns the request in a message.
 
-@dataclass(frozen=True, slots=True)
-class Shown:
+        Raises:
+            ConfigError: it is not valid.
+        """
+        topics = given.get("topics")
+        if not isinstance(topics, list) or len(topics) > MAX_VIDEOS or not all(_is_text(topic) for topic in topics):
+            raise ConfigError(f"argument 'topics' is {quoted(topics)}, must be a list of at most {MAX_VIDEOS} texts")
+        return cls(tuple(topics))
+
+
+@dataclass(frozen=True)
+class Shown(Arguments):
     """Acknowledges an image of a video; the page is ready for the next."""
 
-    topic: str
+    required = ("topic",)
+    topic: str = setting("", "Topic of the image")
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """Velocities in the robot's base frame, m/s and rad/s; valid for ``dead_man.DEADLINE_S``."""
+@dataclass(frozen=True)
+class Drive(Arguments):
+    """Velocities in the robot's base frame; valid for ``dead_man.DEADLINE_S``."""
 
-    linear: float
-    lateral: float
-    angular: float
-    robot: str = ""
-    """Namespace of the robot; empty = the robot without a namespace, or the first by name."""
-
-
-@dataclass(frozen=True, slots=True)
-class Goal:
-    """A pose on the map, metres and radians: a navigation goal, or an initial pose estimate."""
-
-    kind: Literal["goal", "initial_pose"]
-    x: float
-    y: float
-    yaw: float
-    robot: str = ""
-    """Namespace of the robot, as for ``Drive``."""
-    z: float = 0.0
-    """Height of the floor that the page shows, metres."""
+    linear: float = _speed("Forward velocity")
+    lateral: float = _speed("Velocity to the left")
+    angular: float = setting(0.0, "Yaw rate, counter-clockwise", unit="rad/s", minimum=-MAX_TURN, maximum=MAX_TURN)
+    robot: str = _robot()
 
 
-@dataclass(frozen=True, slots=True)
-class Time:
+@dataclass(frozen=True)
+class Goal(Arguments):
+    """A navigation goal on the map."""
+
+    x: float = _coordinate("Position on the map, x")
+    y: float = _coordinate("Position on the map, y")
+    yaw: float = _yaw()
+    robot: str = _robot()
+    z: float = _height()
+
+
+@dataclass(frozen=True)
+class InitialPose(Goal):
+    """An initial estimate of the robot's pose on the map."""
+
+
+@dataclass(frozen=True)
+class Time(Arguments):
     """Plays, pauses, steps or resets the simulation."""
 
-    action: TimeAction
-    steps: int = 1
+    required = ("action",)
+    action: str = setting("play", "What to do", choices=("play", "pause", "step", "reset"))
+    steps: int = setting(1, "Number of physics steps of ``step``", minimum=1, maximum=MAX_STEPS)
 
 
-@dataclass(frozen=True, slots=True)
-class Rate:
-    """Ratio of simulation time to wall time; 0 = as fast as possible."""
+@dataclass(frozen=True)
+class Rate(Arguments):
+    """Sets the speed of the simulation."""
 
-    value: float
-
-
-@dataclass(frozen=True, slots=True)
-class Spawn:
-    """Spawns an object of the catalogue on the floor, metres and radians."""
-
-    uri: str
-    x: float
-    y: float
-    yaw: float
-    z: float = 0.0
-    """Height of the floor that the page shows, metres."""
+    value: float = setting(0.0, "Ratio of simulation time to wall time; 0 = as fast as possible", minimum=0.0, maximum=MAX_RATE)
 
 
-@dataclass(frozen=True, slots=True)
-class Move:
-    """Moves an entity to another pose on the floor, metres and radians."""
+@dataclass(frozen=True)
+class Spawn(Arguments):
+    """Spawns an object of the catalogue on the floor."""
 
-    name: str
-    x: float
-    y: float
-    yaw: float
-    z: float = 0.0
-    """Height of the floor that the page shows, metres."""
+    required = ("uri",)
+    uri: str = setting("", "Object of the catalogue")
+    x: float = _coordinate("Position on the map, x")
+    y: float = _coordinate("Position on the map, y")
+    yaw: float = _yaw()
+    z: float = _height()
 
 
-@dataclass(frozen=True, slots=True)
-class Delete:
+@dataclass(frozen=True)
+class Move(Arguments):
+    """Moves an entity to another pose on the floor."""
+
+    required = ("name",)
+    name: str = setting("", "Name of the entity")
+    x: float = _coordinate("Position on the map, x")
+    y: float = _coordinate("Position on the map, y")
+    yaw: float = _yaw()
+    z: float = _height()
+
+
+@dataclass(frozen=True)
+class Delete(Arguments):
     """Removes an entity."""
 
-    name: str
+    required = ("name",)
+    name: str = setting("", "Name of the entity")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Plot:
     """Sets the curves that the page plots."""
 
     curves: tuple[tuple[str, str], ...]
     """Topic and field of each."""
 
+    @classmethod
+    def read(cls, given: Mapping[str, Any]) -> Plot:
+        """As ``Watch.read``."""
+        curves = given.get("curves")
+        if not isinstance(curves, list) or len(curves) > MAX_CURVES or not all(_is_pair(curve) for curve in curves):
+            raise ConfigError(
+                f"argument 'curves' is {quoted(curves)}, must be a list of at most {MAX_CURVES} pairs of a topic and a field"
+            )
+        return cls(tuple((topic, path) for topic, path in curves))
 
-@dataclass(frozen=True, slots=True)
-class Fields:
+
+@dataclass(frozen=True)
+class Fields(Arguments):
     """Requests the numeric fields of a topic's messages."""
 
-    topic: str
+    required = ("topic",)
+    topic: str = setting("", "Topic of the messages")
 
 
-@dataclass(frozen=True, slots=True)
-class Open:
+@dataclass(frozen=True)
+class Open(Arguments):
     """Opens or closes a door or a drawer."""
 
-    joint: str
-    """``<body>/<joint>``."""
-    opening: float
-    """Opening, 0 = closed, 1 = fully open."""
+    required = ("joint",)
+    joint: str = setting("", "Joint, ``<body>/<joint>``")
+    opening: float = setting(0.0, "Opening: 0 = closed, 1 = fully open", minimum=0.0, maximum=1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class MoveJoint:
+@dataclass(frozen=True)
+class MoveJoint(Arguments):
     """Moves a joint of a robot to a position."""
 
-    robot: str
-    """Namespace of the robot, as for ``Drive``."""
-    joint: str
-    position: float
-    """Position, rad or m."""
+    required = ("joint",)
+    robot: str = _robot()
+    joint: str = setting("", "Name of the joint")
+    position: float = setting(0.0, "Position", unit="rad or m", minimum=-MAX_COORDINATE, maximum=MAX_COORDINATE)
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+@dataclass(frozen=True)
+class Record(Arguments):
     """Starts a recording in a folder chosen by the server, or ends it."""
 
-    action: Literal["start", "stop"]
-    images: bool = False
+    required = ("action",)
+    action: str = setting("start", "What to do", choices=("start", "stop"))
+    images: bool = setting(False, "Whether images are recorded, too")
 
 
-@dataclass(frozen=True, slots=True)
-class RunTask:
+@dataclass(frozen=True)
+class RunTask(Arguments):
     """Sets up an episode of a task, starts the next one, or ends the task."""
 
-    action: Literal["start", "next", "stop"]
-    task: str = TASK_NAMES[0]
-    baseline: str = BASELINES[0]
-    """Baseline that drives the robot; none = the page or another node drives."""
-    seed: int = 0
+    required = ("action",)
+    action: str = setting("start", "What to do", choices=("start", "next", "stop"))
+    task: str = setting(TASK_NAMES[0], "Task of ``start``", choices=TASK_NAMES)
+    baseline: str = setting(BASELINES[0], "What drives the robot; none = the page or another node", choices=BASELINES)
+    seed: int = setting(0, "Seed of the first episode", minimum=0, maximum=MAX_SEED)
 
 
-Request = Watch | Shown | Drive | Goal | Time | Rate | Spawn | Move | Delete | Plot | Fields | Open | MoveJoint | Record | RunTask
+Request = Watch | Plot | Arguments
+_KINDS: Mapping[str, type[Request]] = {
+    "watch": Watch, "shown": Shown, "drive": Drive, "goal": Goal, "initial_pose": InitialPose, "time": Time, "rate": Rate, "spawn": Spawn,
+    "move": Move, "delete": Delete, "plot": Plot, "fields": Fields, "open": Open, "joint": MoveJoint, "record": Record, "task": RunTask,
+}  # fmt: skip
 
 
 def parse_request(message: str) -> Request:
     """Parses the request in a page's message.
 
     Raises:
-        PageRequestError: the message is not a valid request; names the key, the value and the allowed values.
+        ConfigError: the message is not a valid request; names the argument, the value and the allowed values.
     """
     if len(message) > MAX_BYTES:
-        raise PageRequestError(f"a message has {len(message)} characters, at most {MAX_BYTES} are allowed")
+        raise ConfigError(f"a message has {len(message)} characters, at most {MAX_BYTES} are allowed")
     try:
         values = json.loads(message)
     except (ValueError, RecursionError) as error:
-        raise PageRequestError(f"a message is not JSON: {quoted(message)}") from error
+        raise ConfigError(f"a message is not JSON: {quoted(message)}") from error
     if not isinstance(values, dict):
-        raise PageRequestError(f"a message is {quoted(message)}, must be a JSON object")
-    fields = _Fields(values)
-    kind = fields.choice("type", tuple(_READERS))
-    request: Request = _READERS[kind](fields)
-    return request
+        raise ConfigError(f"a message is {quoted(message)}, must be a JSON object")
+    name = values.pop("type", None)
+    kind = _KINDS.get(name) if isinstance(name, str) else None
+    if kind is None:
+        hint = nearest(name, list(_KINDS)) if isinstance(name, str) else ""
+        raise ConfigError(f"type is {quoted(name)}, must be one of {', '.join(_KINDS)}{f'; {hint}' if hint else ''}")
+    return read_arguments(kind, name, values) if issubclass(kind, Arguments) else kind.read(values)
 
 
-class _Fields:
-    """The values of one message."""
-
-    def __init__(self, values: dict[str, Any]) -> None:
-        self._values = values
-
-    def number(self, key: str, limit: float, low: float | None = None) -> float:
-        """Returns a finite number from ``low`` (None = -limit) to ``limit``; 0 if the key is missing."""
-        value = self._values.get(key, 0.0)
-        least = -limit if low is None else low
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not least <= value <= limit:  # false for NaN and infinity
-            raise PageRequestError(f"{key} is {quoted(value)}, must be a number from {least:g} to {limit:g}")
-        return float(value)
-
-    def text(self, key: str) -> str:
-        """Returns a non-empty text."""
-        value = self._values.get(key)
-        if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT or not value.isprintable():
-            raise PageRequestError(f"{key} is {quoted(value)}, must be a text of 1 to {MAX_TEXT} printable characters")
-        return value
-
-    def texts(self, key: str, most: int) -> tuple[str, ...]:
-        """Returns a list of texts."""
-        value = self._values.get(key)
-        if not isinstance(value, list) or len(value) > most or not all(isinstance(t, str) and len(t) <= MAX_TEXT for t in value):
-            raise PageRequestError(f"{key} is {quoted(value)}, must be a list of at most {most} texts")
-        return tuple(value)
-
-    def flag(self, key: str) -> bool:
-        """Returns a boolean; False if the key is missing."""
-        value = self._values.get(key, False)
-        if not isinstance(value, bool):
-            raise PageRequestError(f"{key} is {quoted(value)}, must be true or false")
-        return value
-
-    def curves(self) -> tuple[tuple[str, str], ...]:
-        """Returns pairs of a topic and a field."""
-        value = self._values.get("curves")
-        is_valid = isinstance(value, list) and len(value) <= MAX_CURVES and all(_is_pair(item) for item in value)
-        if not is_valid or not isinstance(value, list):
-            raise PageRequestError(
-                f"curves is {quoted(value)}, must be a list of at most {MAX_CURVES} pairs of a topic and a field"
-            )
-        return tuple((topic, path) for topic, path in value)
-
-    def robot(self) -> str:
-        """Returns the namespace of a robot; empty if the key is missing."""
-        return self.text("robot") if self._values.get("robot") else ""
-
-    def choice(self, key: str, known: tuple[str, ...]) -> str:
-        """Returns one of the known texts."""
-        value = self._values.get(key)
-        if value not in known:
-            raise PageRequestError(f"{key} is {quoted(value)}, must be one of {', '.join(known)}")
-        return str(value)
-
-    def pose(self) -> tuple[float, float, float]:
-        """Returns x, y (m) and yaw (rad)."""
-        x, y = (self.number(key, MAX_COORDINATE) for key in ("x", "y"))
-        return x, y, self.number("yaw", 100.0)
-
-    def height(self) -> float:
-        """Returns z (m); 0 if the key is missing."""
-        return self.number("z", MAX_COORDINATE)
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and len(value) <= MAX_TEXT
 
 
 def _is_pair(item: Any) -> bool:
-    return isinstance(item, list) and len(item) == 2 and all(isinstance(t, str) and 0 < len(t) <= MAX_TEXT for t in item)
-
-
-def _goal(kind: Literal["goal", "initial_pose"], fields: _Fields) -> Goal:
-    x, y, yaw = fields.pose()
-    return Goal(kind, x, y, yaw, fields.robot(), fields.height())
-
-
-def _task(fields: _Fields) -> RunTask:
-    action: Any = fields.choice("action", ("start", "next", "stop"))
-    if action != "start":
-        return RunTask(action)
-    seed = int(fields.number("seed", MAX_SEED, 0.0))
-    return RunTask(action, fields.choice("task", TASK_NAMES), fields.choice("baseline", BASELINES), seed)
-
-
-def _record(fields: _Fields) -> Record:
-    action: Any = fields.choice("action", ("start", "stop"))
-    return Record(action, fields.flag("images"))
-
-
-def _time(fields: _Fields) -> Time:
-    action: Any = fields.choice("action", ("play", "pause", "step", "reset"))
-    return Time(action, int(fields.number("steps", MAX_STEPS, 1.0)) if action == "step" else 1)
-
-
-def _spawn(fields: _Fields) -> Spawn:
-    return Spawn(fields.text("uri"), *fields.pose(), fields.height())
-
-
-def _move(fields: _Fields) -> Move:
-    return Move(fields.text("name"), *fields.pose(), fields.height())
-
-
-_READERS: dict[str, Any] = {
-    "watch": lambda f: Watch(f.texts("topics", MAX_VIDEOS)),
-    "shown": lambda f: Shown(f.text("topic")),
-    "drive": lambda f: Drive(
-        f.number("linear", MAX_SPEED), f.number("lateral", MAX_SPEED), f.number("angular", MAX_TURN), f.robot()
-    ),
-    "goal": lambda f: _goal("goal", f),
-    "initial_pose": lambda f: _goal("initial_pose", f),
-    "time": _time,
-    "rate": lambda f: Rate(f.number("value", MAX_RATE, 0.0)),
-    "spawn": _spawn,
-    "move": _move,
-    "delete": lambda f: Delete(f.text("name")),
-    "plot": lambda f: Plot(f.curves()),
-    "fields": lambda f: Fields(f.text("topic")),
-    "open": lambda f: Open(f.text("joint"), f.number("opening", 1.0, 0.0)),
-    "joint": lambda f: MoveJoint(f.robot(), f.text("joint"), f.number("position", MAX_COORDINATE)),
-    "record": _record,
-    "task": _task,
-}
+    return isinstance(item, list) and len(item) == 2 and all(_is_text(text) and text for text in item)

@@ -30,7 +30,7 @@ from gibson_sim.web.curves import CurveName, Sample
 from gibson_sim.web.dead_man import DeadMan
 from gibson_sim.web.pages import Backend, Page, send_queued
 from gibson_sim.web.recordings import RecordingError, Recordings
-from gibson_sim.web.requests import MAX_BYTES, Drive, PageRequestError, Plot, Shown, Watch, parse_request
+from gibson_sim.web.requests import MAX_BYTES, Drive, Plot, Shown, Watch, parse_request
 from gibson_sim.web.videos import Streamed
 
 logger = logging.getLogger(__name__)
@@ -327,7 +327,7 @@ class PageServer:
     def _received(self, page: Page, text: str) -> None:
         try:
             request = parse_request(text)
-        except PageRequestError as error:
+        except ConfigError as error:
             page.reply("", False, str(error))
             return
         if not isinstance(request, Shown | Drive) and not page.allow_request(time.monotonic()):

@@ -25,7 +25,7 @@ from gibson_sim.ros.client.simulation_client import flat_pose
 from gibson_sim.ros.topics import names
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
-from gibson_sim.web.requests import Drive, Goal
+from gibson_sim.web.requests import Drive, Goal, InitialPose
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -142,7 +142,7 @@ class Robot:
     def send(self, goal: Goal) -> tuple[bool, str]:
         """Publishes a goal or an initial pose; returns whether the topic has subscribers, and a text for the page."""
         pose = flat_pose(goal.x, goal.y, goal.z, goal.yaw)
-        if goal.kind == "goal":
+        if not isinstance(goal, InitialPose):
             topic, msg = "goal_pose", PoseStamped(pose=pose)
             publisher = self._publisher(PoseStamped, topic, 1)
         else:
