@@ -38,11 +38,12 @@ from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.clean_scene import static_scene
 from gibson_sim_tools.scanning.trajectories import read_stamped_poses
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.evaluation import RenderedImage, image_similarity, render_textured
 from gibson_sim_tools.texturing.exposure import identity_exposures
 from gibson_sim_tools.texturing.rasteriser import rasterise
 from gibson_sim_tools.texturing.settings import TextureSettings
-from gibson_sim_tools.texturing.surface import Surface, face_adjacency, project, surface_from_mesh
+from gibson_sim_tools.texturing.surface import face_adjacency, project, surface_from_mesh
 from gibson_sim_tools.texturing.texture import TexturedSurface, TextureReport, build_texture, collect_views, texture_surface
 
 Bools = NDArray[np.bool_]
@@ -138,7 +139,7 @@ def show(title: str, values: dict[str, Any]) -> None:
 # Data
 
 
-def scanned(folder: Path, width: int, height: int, voxel: float) -> tuple[Path, Surface]:
+def scanned(folder: Path, width: int, height: int, voxel: float) -> tuple[Path, TriangleMesh]:
     """Returns the folder of a scan and its mesh, both from earlier runs if they are there."""
     scan, mesh = folder / f"scan_{width}x{height}", folder / f"mesh_{width}x{height}.ply"
     command(
@@ -158,7 +159,7 @@ def command(*words: str) -> None:
 # Textures compared
 
 
-def compared(scan: Path, surface: Surface, images: Path | None) -> dict[str, Any]:
+def compared(scan: Path, surface: TriangleMesh, images: Path | None) -> dict[str, Any]:
     """Returns the results of the three ways to colour a mesh, on held-out photographs and against the clean scene."""
     photographs = open_photographs(scan)
     held_out = range(0, len(photographs), HOLD_OUT)
@@ -245,7 +246,7 @@ def steps(report: TextureReport) -> dict[str, Any]:
     }
 
 
-def pose_error_px(surface: Surface, photographs: Photographs, true: Photographs) -> float:
+def pose_error_px(surface: TriangleMesh, photographs: Photographs, true: Photographs) -> float:
     """Returns the mean distance in the images between the centres of visible triangles at the given and at the true poses, pixels."""
     centres, sums, count = surface.corners.mean(axis=1), 0.0, 0
     for number, item in enumerate(photographs.items):
@@ -385,7 +386,7 @@ def shows(textured: TexturedSurface, masks: dict[int, Bools]) -> Bools:
     return out
 
 
-def in_mask(surface: Surface, faces: NDArray[np.integer], photographs: Photographs, number: int, mask: Bools) -> Bools:
+def in_mask(surface: TriangleMesh, faces: NDArray[np.integer], photographs: Photographs, number: int, mask: Bools) -> Bools:
     """Returns (N,), which of the triangles have their centre at a pixel of a mask of a photograph."""
     uv = project(surface.corners[faces].mean(axis=1), photographs.intrinsics(number), photographs.items[number].T_world_camera)[0]
     column, row = np.rint(uv).astype(int).T

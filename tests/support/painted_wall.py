@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
 from gibson_sim_tools.photographs.photographs import CameraModel, Photograph, Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.quality import sample_bilinear
-from gibson_sim_tools.texturing.surface import Surface
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -28,7 +28,7 @@ CAMERA = Intrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
 class PaintedWall:
     """The wall."""
 
-    surface: Surface
+    surface: TriangleMesh
     paint: F32
     """(600, 800, 3), sRGB, 0 to 1; row 0 is at the least y."""
 
@@ -64,7 +64,7 @@ def painted_wall(columns: int = 40, rows: int = 30) -> PaintedWall:
     over = first + columns + 1
     triangles = np.concatenate([np.stack([first, over + 1, first + 1], 1), np.stack([first, over, over + 1], 1)])
     paint = cv2.GaussianBlur(np.random.default_rng(5).random((600, 800, 3)).astype(np.float32), (0, 0), 8)
-    return PaintedWall(Surface(vertices, triangles), (0.2 + 0.5 * (paint - paint.min()) / np.ptp(paint)).astype(np.float32))
+    return PaintedWall(TriangleMesh(vertices, triangles), (0.2 + 0.5 * (paint - paint.min()) / np.ptp(paint)).astype(np.float32))
 
 
 def row_of_cameras(count: int, rng: np.random.Generator) -> F64:

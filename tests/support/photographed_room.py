@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import quat_from_matrix
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, transformed, write_ply
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, transformed, write_ply
 from support.scans import sheet
 
 F64 = NDArray[np.float64]
@@ -55,21 +55,21 @@ def _paint(points: F64) -> NDArray[np.uint8]:
     return np.rint(120.0 + 80.0 * waves).astype(np.uint8)
 
 
-def room_mesh(edge: float = 0.2) -> ColouredMesh:
+def room_mesh(edge: float = 0.2) -> TriangleMesh:
     """Returns the room as triangles that face inwards, without the floor at x < 0.6."""
     x, y, z = SIZE.tolist()
-    return ColouredMesh(*_coloured([
+    return TriangleMesh(*_coloured([
         sheet((0.6, 0, 0), (x - 0.6, 0, 0), (0, y, 0), edge), sheet((0, 0, z), (0, y, 0), (x, 0, 0), edge),
         sheet((0, 0, 0), (0, y, 0), (0, 0, z), edge), sheet((x, 0, 0), (0, 0, z), (0, y, 0), edge),
         sheet((0, 0, 0), (0, 0, z), (x, 0, 0), edge), sheet((0, y, 0), (x, 0, 0), (0, 0, z), edge),
     ]))  # fmt: skip
 
 
-def _coloured(sheets: list[tuple[F64, NDArray[np.int64]]]) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
+def _coloured(sheets: list[tuple[F64, NDArray[np.int64]]]) -> tuple[F64, NDArray[np.int64], NDArray[np.uint8]]:
     first = np.cumsum([0, *(len(points) for points, _ in sheets)])
     vertices = np.concatenate([points for points, _ in sheets])
     triangles = np.concatenate([corners + k for (_, corners), k in zip(sheets, first, strict=False)])
-    return vertices.astype(np.float32), triangles.astype(np.int32), np.ascontiguousarray(_paint(vertices)[:, ::-1])
+    return vertices, triangles, np.ascontiguousarray(_paint(vertices)[:, ::-1])
 
 
 def write_rgbd(folder: Path, T_frame_world: F64 = T_FIRST_WORLD) -> Path:

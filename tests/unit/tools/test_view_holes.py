@@ -14,7 +14,7 @@ from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.maps.floor_map import FloorMap, make_floor_map
 from gibson_sim_tools.cli.scan import level_text
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, transformed, write_ply
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, transformed, write_ply
 from gibson_sim_tools.view_holes import CAMERA_HEIGHT, HEIGHT, WIDTH, ViewHoles, first_faces, mesh_view_holes, view_holes
 from support.interiors import box_faces, room, triangles
 from support.scans import noisy_room
@@ -104,13 +104,13 @@ def test_where_no_robot_fits_nothing_is_measured() -> None:
     assert view_holes(vertices[faces], np.ones(len(faces), dtype=bool), [full], 0.2) is None
 
 
-def _room(*left_out: int) -> ColouredMesh:
+def _room(*left_out: int) -> TriangleMesh:
     corners, quads = room(furniture=False)
     faces = triangles(np.delete(quads, left_out, axis=0)).astype(np.int32)
-    return ColouredMesh(corners.astype(np.float32), faces, np.zeros((8, 3), np.uint8))
+    return TriangleMesh(corners.astype(np.float64), faces, np.zeros((8, 3), np.uint8))
 
 
-def _mesh_holes(mesh: ColouredMesh, T_level_mesh: np.ndarray) -> ViewHoles | None:
+def _mesh_holes(mesh: TriangleMesh, T_level_mesh: np.ndarray) -> ViewHoles | None:
     return mesh_view_holes(mesh.vertices, mesh.triangles, T_level_mesh)
 
 

@@ -126,11 +126,11 @@ def _scan(args: argparse.Namespace) -> ExitCode:
 
 def _fuse(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.scenes.load import load_scene
-    from gibson_sim_tools.scanning.coloured_mesh import write_ply
     from gibson_sim_tools.scanning.comparison import compare
     from gibson_sim_tools.scanning.fusion import distances_to_mesh, fuse_scan, open3d, selected_frames
     from gibson_sim_tools.scanning.layouts import open_posed_rgbd
     from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
+    from gibson_sim_tools.scanning.triangle_mesh import write_ply
     from gibson_sim_tools.view_holes import mesh_view_holes
 
     output = Path(args.output)

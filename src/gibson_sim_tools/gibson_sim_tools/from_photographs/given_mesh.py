@@ -14,12 +14,12 @@ from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, decimated
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO, CAMERA_CONVENTIONS
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, decimated
 from gibson_sim_tools.texturing.conventions import with_convention
 from gibson_sim_tools.texturing.rasteriser import rasterise
-from gibson_sim_tools.texturing.surface import Surface, surface_from_mesh
+from gibson_sim_tools.texturing.surface import surface_from_mesh
 
 F64 = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ _MIN_GAIN, _MIN_SHARE = 0.15, 0.2
 class GivenMesh:
     """A mesh that was supplied with photographs, in the frame of their poses."""
 
-    mesh: ColouredMesh
+    mesh: TriangleMesh
     has_colors: bool
     """Whether its file has vertex colours."""
     convention: str
@@ -62,12 +62,12 @@ def given_mesh(
         ScanError: its front faces fill less than ``_MIN_SHARE`` of the photographs, in every convention if that is ``auto``.
     """
     try:
-        surface = surface_from_mesh(load_mesh(path, [path.resolve().parent]))
+        mesh = surface_from_mesh(load_mesh(path, [path.resolve().parent]))
     except ScanError as error:
         raise ScanError(f"{path}: {error}") from error
-    has_colors = surface.colors is not None
-    colors = np.full((len(surface.vertices), 3), GREY, dtype=np.uint8) if surface.colors is None else surface.colors
-    mesh = ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), colors)
+    has_colors = mesh.colors is not None
+    if not has_colors:
+        mesh = replace(mesh, colors=np.full((len(mesh.vertices), 3), GREY, dtype=np.uint8))
     simplified = mesh
     if len(mesh.triangles) > _MAX_TRIANGLES:
         try:
@@ -77,7 +77,7 @@ def given_mesh(
 
     def rotation_and_share(name: str) -> tuple[int, float]:
         posed = with_convention(photographs, name)
-        shares = [front_face_share(simplified.vertices @ R.T, simplified.triangles, posed) for _, R in _ROTATIONS]
+        shares = [front_face_share(replace(simplified, vertices=simplified.vertices @ R.T), posed) for _, R in _ROTATIONS]
         best = int(np.argmax(shares))
         best = best if shares[best] > shares[0] + _MIN_GAIN else 0
         return best, shares[best]
@@ -97,26 +97,24 @@ def given_mesh(
         )
     name, R = _ROTATIONS[best]
     text = f"{path.name}: {len(mesh.triangles)} triangles, {name}; it fills {100.0 * share:.0f} % of the photographs"
-    mesh = replace(mesh, vertices=np.ascontiguousarray(mesh.vertices @ R.T.astype(np.float32)))
+    mesh = replace(mesh, vertices=mesh.vertices @ R.T)
     return GivenMesh(mesh, has_colors, convention_read, text)
 
 
-def front_face_share(vertices: F64, triangles: NDArray[np.integer], photographs: Photographs) -> float:
+def front_face_share(mesh: TriangleMesh, photographs: Photographs) -> float:
     """Returns the share of front-face pixels minus that of back-face pixels, mean over some photographs.
 
     Args:
-        vertices: (V, 3), metres, frame of the poses.
-        triangles: (F, 3), vertex indices.
+        mesh: in the frame of the poses.
         photographs: posed photographs.
     """
-    surface = Surface(np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
-    corners = surface.corners
+    corners = mesh.corners
     normals, centres = unit_normals(corners), corners.mean(axis=1)
     shares = []
     for number in np.unique(np.linspace(0, len(photographs) - 1, _VIEW_COUNT).round().astype(int)).tolist():
         intrinsics, pose = photographs.intrinsics(number), photographs.items[number].T_world_camera
         reduced = intrinsics.resized(_VIEW_WIDTH_PX, max(round(_VIEW_WIDTH_PX * intrinsics.height / intrinsics.width), 1))
-        face = rasterise(surface, reduced, pose).face
+        face = rasterise(mesh, reduced, pose).face
         visible = face[face >= 0]
         is_front = np.einsum("ij,ij->i", normals[visible], pose[:3, 3] - centres[visible]) > 0.0
         shares.append((int(is_front.sum()) - int((~is_front).sum())) / face.size)

@@ -48,17 +48,17 @@ from gibson_sim_tools.importing.document import (
 )
 from gibson_sim_tools.importing.glb import write_glb
 from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, decimated, level_transform, level_transform_from_up, write_ply
 from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplify_quadric
 from gibson_sim_tools.scanning.planes import snap_to_planes
 from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO, FuseSettings
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, decimated, level_transform, level_transform_from_up, write_ply
 from gibson_sim_tools.texturing.conventions import resolve_convention
 from gibson_sim_tools.texturing.evaluation import ImageSimilarity, RenderedImage, image_similarity
 from gibson_sim_tools.texturing.photograph_selection import select_photographs
 from gibson_sim_tools.texturing.settings import MOST_PHOTOGRAPHS, POSE_CONVENTIONS, TextureSettings
-from gibson_sim_tools.texturing.surface import Surface, check_split, surface_from_mesh
+from gibson_sim_tools.texturing.surface import check_split, surface_from_mesh
 from gibson_sim_tools.texturing.texture import texture_surface
 from gibson_sim_tools.texturing.textured_scene import textured_mesh
 
@@ -199,15 +199,14 @@ class PhotographImport:
         assert self.inputs.mesh is not None
         photographs = self.inputs.photographs
         given = given_mesh(self.inputs.mesh, photographs, self.pose_convention, progress)
-        mesh = replace(given.mesh, vertices=given.mesh.vertices * np.float32(self.unit_m or 1.0))
-        surface = Surface(mesh.vertices.astype(np.float64), mesh.triangles.astype(np.int64))
+        mesh = given.mesh.scaled(float(np.float32(self.unit_m or 1.0))).single()
         convention, message = self.pose_convention, ""
         if convention == AUTO and given.convention != AS_READ:
             convention = given.convention
             message = f"poses are read as {convention}: {POSE_CONVENTIONS[convention]} (as read, no photograph shows the mesh)"
-        posed, found = resolve_convention(surface, photographs.scaled(self.unit_m or 1.0), convention)
-        check_split(surface, TextureSettings().longest_edge)
-        corners = mesh.vertices[mesh.triangles[:: max(len(mesh.triangles) // 100_000, 1)]]
+        posed, found = resolve_convention(mesh, photographs.scaled(self.unit_m or 1.0), convention)
+        check_split(mesh, TextureSettings().longest_edge)
+        corners = mesh.corners[:: max(len(mesh.triangles) // 100_000, 1)].astype(np.float32)
         edge = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
         write_ply(self.output / _FUSED, mesh)
         voxel = min(max(edge, _VOXEL_RANGE[0]), _VOXEL_RANGE[1])
@@ -256,7 +255,7 @@ class PhotographImport:
         T = self._T_level_scan()
         mesh = self._read_mesh(_MESH)
         colors = mesh.colors if self._read("fused")["coloured"] else None
-        surface = Surface(transform_points(T, mesh.vertices), mesh.triangles.astype(np.int64), colors)
+        surface = replace(mesh, vertices=transform_points(T, mesh.vertices), colors=colors)
         photographs = self._level_photographs(T)
         numbers, held_out = self._select_photographs(surface, photographs, lambda part: progress(0.1 * part))
         photographs = photographs.subset(numbers)
@@ -282,7 +281,7 @@ class PhotographImport:
         """Returns the data of the held-out photographs that is not used, as text."""
         return "colours and depth" if self.settings.hold_out_depth else "colours"
 
-    def _select_photographs(self, surface: Surface, photographs: Photographs, progress: Progress) -> tuple[I64, list[int]]:
+    def _select_photographs(self, surface: TriangleMesh, photographs: Photographs, progress: Progress) -> tuple[I64, list[int]]:
         """Returns the numbers of the selected and held-out photographs, ascending, and the indices of the held-out ones in that array."""
         held_out = self._held_out()
         others = np.setdiff1d(np.arange(len(photographs)), held_out)
@@ -414,11 +413,9 @@ class PhotographImport:
     def _level_photographs(self, T_level_scan: F64) -> Photographs:
         return self.inputs.photographs.with_poses(T_level_scan @ np.array(self._read("fused")["T_scan_camera"]))
 
-    def _read_mesh(self, name: str) -> ColouredMesh:
+    def _read_mesh(self, name: str) -> TriangleMesh:
         path = self.output / name
-        surface = surface_from_mesh(load_mesh(path, [path.parent]))
-        assert surface.colors is not None
-        return ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), surface.colors)
+        return surface_from_mesh(load_mesh(path, [path.parent]))
 
     def _read(self, name: str) -> Any:
         return json.loads(read_file(self.output / _RECORDS[name], _MAX_BYTES))
@@ -440,7 +437,7 @@ def _file_state(path: Path) -> tuple[str, int, int]:
     return str(path), status.st_size, status.st_mtime_ns
 
 
-def _simplify(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
+def _simplify(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
     try:
         return simplify_quadric(mesh, triangles)
     except EnvironmentProblemError:

@@ -63,7 +63,7 @@ def opaque_triangles(scene: SceneSpec) -> tuple[F64, NDArray[np.int32]]:
     return merge(pieces)
 
 
-def sample_surface(vertices: F64, triangles: NDArray[np.int32], count: int, rng: np.random.Generator) -> SurfaceSamples:
+def sample_surface(vertices: F64, triangles: NDArray[np.integer], count: int, rng: np.random.Generator) -> SurfaceSamples:
     """Returns points sampled uniformly by area from triangles.
 
     Args:

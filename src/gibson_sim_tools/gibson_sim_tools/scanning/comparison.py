@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim_tools.scanning.clean_scene import SurfaceSamples, opaque_triangles, sample_surface, visible_points
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd
 from gibson_sim_tools.scanning.trajectories import read_stamped_poses
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Distance = Callable[[F64, NDArray[Any], NDArray[np.int32]], NDArray[np.float32]]
+Distance = Callable[[F64, NDArray[Any], NDArray[np.integer]], NDArray[np.float32]]
 """(points, vertices, triangles) -> distances from the points to the mesh."""
 
 COVERAGE_DISTANCE = 0.05
@@ -60,7 +60,7 @@ class MeshComparison:
 
 
 def compare(
-    mesh: ColouredMesh,
+    mesh: TriangleMesh,
     rgbd: PosedRgbd,
     scene: SceneSpec,
     distance: Distance,
@@ -82,7 +82,7 @@ def compare(
     vertices, triangles = opaque_triangles(scene)
     scene_samples = sample_surface(vertices, triangles, SAMPLE_COUNT, rng)
     is_observed = observed_points(scene_samples, rgbd, progress, frames)
-    mesh_samples = sample_surface(mesh.vertices.astype(np.float64), mesh.triangles, SAMPLE_COUNT, rng)
+    mesh_samples = sample_surface(mesh.vertices, mesh.triangles, SAMPLE_COUNT, rng)
     mesh_to_scene = distance(mesh_samples.points, vertices, triangles)
     scene_to_mesh = (
         distance(scene_samples.points[is_observed], mesh.vertices, mesh.triangles)

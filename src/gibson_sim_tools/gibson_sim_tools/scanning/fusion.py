@@ -15,17 +15,17 @@ from scipy.spatial import cKDTree
 
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.geometry.transforms import Mat4, invert
-from gibson_sim_tools.scanning.coloured_mesh import (
-    ColouredMesh,
+from gibson_sim_tools.scanning.planes import SnapReport, snap_to_planes
+from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError, depth_units
+from gibson_sim_tools.scanning.settings import FuseSettings
+from gibson_sim_tools.scanning.triangle_mesh import (
+    TriangleMesh,
     decimated,
     level_transform,
     transformed,
     weld_vertices,
     without_small_components,
 )
-from gibson_sim_tools.scanning.planes import SnapReport, snap_to_planes
-from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError, depth_units
-from gibson_sim_tools.scanning.settings import FuseSettings
 from gibson_sim_tools.scanning.voxel_size import BLOCK_VOXELS, VoxelSize, select_voxel_size
 
 F64 = NDArray[np.float64]
@@ -71,7 +71,7 @@ def selected_frames(rgbd: PosedRgbd, settings: FuseSettings) -> range:
 class Fusion:
     """Result of a fusion."""
 
-    mesh: ColouredMesh
+    mesh: TriangleMesh
     """In the frame of the scan, or levelled."""
     voxel: float
     """Edge of the voxels, metres."""
@@ -83,7 +83,7 @@ class Fusion:
     """(4, 4), takes the frame of the scan to the level frame; None = there is no level surface."""
 
 
-def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> ColouredMesh:
+def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> TriangleMesh:
     """Returns the mesh of ``fuse_scan``."""
     return fuse_scan(rgbd, settings, progress).mesh
 
@@ -117,7 +117,7 @@ def fuse_scan(
     return Fusion(transformed(mesh, T) if settings.level and T is not None else mesh, settings.voxel, selected, snap, T)
 
 
-def _level_transform(mesh: ColouredMesh, rgbd: PosedRgbd, needed: bool) -> Mat4 | None:
+def _level_transform(mesh: TriangleMesh, rgbd: PosedRgbd, needed: bool) -> Mat4 | None:
     """Returns T_level_scan; None = there is no level surface, and none is needed."""
     try:
         return level_transform(mesh, rgbd.poses)
@@ -129,7 +129,7 @@ def _level_transform(mesh: ColouredMesh, rgbd: PosedRgbd, needed: bool) -> Mat4 
 
 def _integrate(
     rgbd: PosedRgbd, settings: FuseSettings, blocks: int, depth_only: Collection[int], progress: Progress
-) -> ColouredMesh:
+) -> TriangleMesh:
     """Integrates all frames into a TSDF with an initial capacity of ``blocks`` and returns its mesh without small components."""
     o3d = open3d()
     core = o3d.core
@@ -143,7 +143,7 @@ def _integrate(
     # Frames of depth alone come last: the mesh extracted before them has the colours of the other frames only.
     numbers = sorted(selected_frames(rgbd, settings), key=lambda number: number in depth_only)
     color_count = sum(number not in depth_only for number in numbers)
-    coloured: ColouredMesh | None = None
+    coloured: TriangleMesh | None = None
     for done, number in enumerate(numbers):
         if done == color_count:
             coloured = _extract_mesh(grid, settings)
@@ -157,6 +157,7 @@ def _integrate(
         progress(0.9 * (done + 1) / len(numbers))
     mesh = _extract_mesh(grid, settings)
     if coloured is not None:
+        assert coloured.colors is not None
         mesh = replace(mesh, colors=coloured.colors[cKDTree(coloured.vertices).query(mesh.vertices)[1]])
     mesh = weld_vertices(mesh, _WELD_VOXELS * settings.voxel)
     if settings.min_part:
@@ -173,7 +174,7 @@ def _has_voxels(depth: F32, depth_max: float) -> bool:
     return bool(((samples > 0.0) & (samples < depth_max)).any())
 
 
-def _extract_mesh(grid: Any, settings: FuseSettings) -> ColouredMesh:
+def _extract_mesh(grid: Any, settings: FuseSettings) -> TriangleMesh:
     """Returns the mesh of a TSDF.
 
     Raises:
@@ -189,7 +190,8 @@ def _extract_mesh(grid: Any, settings: FuseSettings) -> ColouredMesh:
             f"the mesh has {len(extracted.vertex.positions)} vertices; give a larger --voxel than {settings.voxel:g} m"
         )
     colors = np.clip(np.rint(extracted.vertex.colors.numpy() * 255.0), 0, 255).astype(np.uint8)
-    return ColouredMesh(extracted.vertex.positions.numpy().copy(), extracted.triangle.indices.numpy().astype(np.int32), colors)
+    positions, indices = extracted.vertex.positions.numpy(), extracted.triangle.indices.numpy()
+    return TriangleMesh(positions.astype(np.float64), indices.astype(np.int64), colors)
 
 
 def _empty_mesh_message(settings: FuseSettings) -> str:
@@ -199,7 +201,7 @@ def _empty_mesh_message(settings: FuseSettings) -> str:
     )
 
 
-def simplify_quadric(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
+def simplify_quadric(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
     """Returns the mesh simplified to about ``triangles`` triangles by quadric error metrics (Garland and Heckbert, SIGGRAPH 1997).
 
     Open3D optimises vertex positions and takes many times as long as meshoptimizer, which therefore decimates the mesh first.
@@ -212,17 +214,17 @@ def simplify_quadric(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
     if len(mesh.triangles) > _PRESIMPLIFIED_FACTOR * triangles:
         mesh = decimated(mesh, _PRESIMPLIFIED_FACTOR * triangles)
     o3d_mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices.astype(np.float64)), o3d.utility.Vector3iVector(mesh.triangles)
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32))
     )
+    assert mesh.colors is not None
     o3d_mesh.vertex_colors = o3d.utility.Vector3dVector(mesh.colors.astype(np.float64) / 255.0)
     simplify_quadric = o3d_mesh.simplify_quadric_decimation(triangles)
     colors = np.clip(np.rint(np.asarray(simplify_quadric.vertex_colors) * 255.0), 0, 255).astype(np.uint8)
-    return ColouredMesh(
-        np.asarray(simplify_quadric.vertices, dtype=np.float32), np.asarray(simplify_quadric.triangles, dtype=np.int32), colors
-    )
+    vertices, faces = np.asarray(simplify_quadric.vertices), np.asarray(simplify_quadric.triangles, dtype=np.int64)
+    return TriangleMesh(vertices, faces, colors).single()
 
 
-def distances_to_mesh(points: F64, vertices: NDArray[Any], triangles: NDArray[np.int32]) -> F32:
+def distances_to_mesh(points: F64, vertices: NDArray[Any], triangles: NDArray[np.integer]) -> F32:
     """Returns the distances (N,), metres, from points (N, 3) to a mesh.
 
     Raises:

@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -110,7 +110,7 @@ class _Cells:
     """(P, 2), pairs of neighbouring cells (26-neighbourhood)."""
 
 
-def snap_to_planes(mesh: ColouredMesh, voxel: float, limit: float) -> tuple[ColouredMesh, SnapReport]:
+def snap_to_planes(mesh: TriangleMesh, voxel: float, limit: float) -> tuple[TriangleMesh, SnapReport]:
     """Returns the mesh with vertices snapped to its planes, and a report.
 
     Args:
@@ -118,7 +118,7 @@ def snap_to_planes(mesh: ColouredMesh, voxel: float, limit: float) -> tuple[Colo
         voxel: edge of the voxels of the fusion, metres.
         limit: largest displacement of a vertex, metres.
     """
-    vertices = mesh.vertices.astype(np.float64)
+    vertices = mesh.vertices
     triangle_vectors = mesh.doubled_area_vectors()
     vertex_vectors = _vertex_area_vectors(mesh, triangle_vectors)
     cells = _cells(vertices, vertex_vectors, max(_CELL_VOXELS * voxel, _MIN_CELL_SIZE), limit)
@@ -146,10 +146,10 @@ def snap_to_planes(mesh: ColouredMesh, voxel: float, limit: float) -> tuple[Colo
         1000.0 * float(displacement.max(initial=0.0)),
         1000.0 * float(np.median([p.noise for p in planes])) if planes else 0.0,
     )
-    return replace(mesh, vertices=moved_vertices.astype(np.float32)), report
+    return replace(mesh, vertices=moved_vertices).single(), report
 
 
-def _vertex_area_vectors(mesh: ColouredMesh, triangle_vectors: F64) -> F64:
+def _vertex_area_vectors(mesh: TriangleMesh, triangle_vectors: F64) -> F64:
     """Returns the area vectors of the vertices, (V, 3): sum of a third of each adjacent triangle's area times its normal, square metres."""
     count = len(mesh.vertices)
     vertex_vectors = np.zeros((count, 3))
@@ -159,7 +159,7 @@ def _vertex_area_vectors(mesh: ColouredMesh, triangle_vectors: F64) -> F64:
     return vertex_vectors
 
 
-def _smooth_normals(vertex_vectors: F64, triangles: NDArray[np.int32], rounds: int) -> F64:
+def _smooth_normals(vertex_vectors: F64, triangles: I64, rounds: int) -> F64:
     """Returns unit vertex normals (V, 3), averaged with those of neighbouring vertices in each round."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     neighbours = sparse.coo_matrix(
@@ -388,7 +388,7 @@ def _snap_to_edges(
         is_edge[vertex_rows[is_short]] = True
 
 
-def _undo_flips(vertices: F64, moved: F64, triangles: NDArray[np.int32], triangle_vectors: F64, is_edge: Bools) -> F64:
+def _undo_flips(vertices: F64, moved: F64, triangles: I64, triangle_vectors: F64, is_edge: Bools) -> F64:
     """Returns the moved vertices (V, 3), without moves that flip a triangle or collapse its area."""
     moved = moved.copy()
     doubled_areas = np.linalg.norm(triangle_vectors, axis=1)

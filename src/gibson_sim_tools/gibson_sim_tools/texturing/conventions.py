@@ -17,9 +17,9 @@ from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.pose_conventions import reinterpret_poses
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.quality import Views, concatenate_views, face_views, triangle_areas_px
 from gibson_sim_tools.texturing.settings import POSE_CONVENTIONS
-from gibson_sim_tools.texturing.surface import Surface
 from gibson_sim_tools.texturing.visibility import visible_faces
 
 F64 = NDArray[np.float64]
@@ -81,7 +81,7 @@ def with_convention(photographs: Photographs, name: str) -> Photographs:
     return photographs.with_poses(reinterpret_poses(photographs.poses, photographs.layout, name))
 
 
-def photo_consistency(surface: Surface, photographs: Photographs) -> PhotoConsistency:
+def photo_consistency(surface: TriangleMesh, photographs: Photographs) -> PhotoConsistency:
     """Returns the photo-consistency on a surface of some pairs of consecutive photographs."""
     reduced = replace(photographs, longest_side=min(_LONGEST_SIDE_PX, photographs.longest_side or _LONGEST_SIDE_PX))
     firsts = np.unique(np.linspace(0, max(len(reduced) - 2, 0), _PAIR_COUNT).round().astype(int))
@@ -114,7 +114,7 @@ def _cross_view_correlation(views: Views) -> float:
     return max(float((a * b).sum()) / norm, 0.0) if norm > 0.0 else 0.0
 
 
-def resolve_convention(surface: Surface, photographs: Photographs, convention: str = AS_READ) -> tuple[Photographs, str]:
+def resolve_convention(surface: TriangleMesh, photographs: Photographs, convention: str = AS_READ) -> tuple[Photographs, str]:
     """Returns the photographs with their poses in the given or detected convention, and a message or warning; empty = read as their layout
     says.
 
@@ -154,13 +154,13 @@ def resolve_convention(surface: Surface, photographs: Photographs, convention: s
     return reread_photographs, text
 
 
-def _best_convention(surface: Surface, photographs: Photographs) -> tuple[str, PhotoConsistency]:
+def _best_convention(surface: TriangleMesh, photographs: Photographs) -> tuple[str, PhotoConsistency]:
     names = [name for name in POSE_CONVENTIONS if name != "before-applied-transform" or photographs.applied_transform is not None]
     scored = [(name, photo_consistency(surface, with_convention(photographs, name))) for name in names]
     return max(scored, key=lambda pair: pair[1].score)
 
 
-def _check_position_scale(surface: Surface, photographs: Photographs, consistency: PhotoConsistency) -> None:
+def _check_position_scale(surface: TriangleMesh, photographs: Photographs, consistency: PhotoConsistency) -> None:
     """Raises ScanError if photographs are much more consistent with their positions scaled about the origin."""
     if consistency.correlation >= _TESTED_CORRELATION:
         return
@@ -178,7 +178,7 @@ def _check_position_scale(surface: Surface, photographs: Photographs, consistenc
         )
 
 
-def _check_depth(surface: Surface, photographs: Photographs) -> bool:
+def _check_depth(surface: TriangleMesh, photographs: Photographs) -> bool:
     """Returns whether most depths agree with the mesh; False also if there are too few.
 
     Raises:

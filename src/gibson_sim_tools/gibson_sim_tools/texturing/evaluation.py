@@ -13,9 +13,10 @@ from gibson_sim.geometry.colours import srgb_from_linear
 from gibson_sim.sensors.image_similarity import psnr, ssim_map
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.quality import LINEAR_FROM_SRGB8, sample_bilinear
 from gibson_sim_tools.texturing.rasteriser import barycentric, perspective_correct_weights, rasterise
-from gibson_sim_tools.texturing.surface import Surface, project
+from gibson_sim_tools.texturing.surface import project
 from gibson_sim_tools.texturing.texture import TexturedSurface
 
 Bools = NDArray[np.bool_]
@@ -98,7 +99,7 @@ def render_textured(
     return RenderedImage(output, visible)
 
 
-def _rasterised_weights(surface: Surface, intrinsics: Intrinsics, T_world_camera: F64) -> tuple[NDArray[np.int32], F64]:
+def _rasterised_weights(surface: TriangleMesh, intrinsics: Intrinsics, T_world_camera: F64) -> tuple[NDArray[np.int32], F64]:
     """Returns the face image (H, W), -1 = none, and perspective-correct barycentric coordinates (N, 3) of its N covered pixels, row-major."""
     face = rasterise(surface, intrinsics, T_world_camera).face
     y, x = np.nonzero(face >= 0)

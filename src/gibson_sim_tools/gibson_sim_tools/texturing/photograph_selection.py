@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim_tools.photographs.photographs import Photographs
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.rasteriser import rasterise
-from gibson_sim_tools.texturing.surface import Surface
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -26,7 +26,7 @@ _COARSE_TRIANGLES = 6000
 
 
 def select_photographs(
-    surface: Surface, photographs: Photographs, max_count: int, progress: Callable[[float], None] = lambda _: None
+    surface: TriangleMesh, photographs: Photographs, max_count: int, progress: Callable[[float], None] = lambda _: None
 ) -> I64:  # fmt: skip
     """Returns the numbers of at most ``max_count`` photographs, ascending, selected greedily by their gain in coverage.
 
@@ -73,7 +73,7 @@ def select_photographs(
     return np.sort(np.array(selected))
 
 
-def _decimated(surface: Surface) -> Surface:
+def _decimated(surface: TriangleMesh) -> TriangleMesh:
     """Returns the surface with about ``_COARSE_TRIANGLES`` triangles, simplified by vertex clustering on a grid."""
     if len(surface.triangles) <= _COARSE_TRIANGLES:
         return surface
@@ -89,4 +89,4 @@ def _decimated(surface: Surface) -> Surface:
     )
     triangles = vertex_cell[surface.triangles]
     is_valid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return Surface(centroids, np.unique(triangles[is_valid], axis=0))
+    return TriangleMesh(centroids, np.unique(triangles[is_valid], axis=0))

@@ -22,9 +22,10 @@ from gibson_sim.geometry.transforms import invert
 from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.exposure import Exposures
 from gibson_sim_tools.texturing.quality import SAMPLE_WEIGHTS, Views, normalised_radius, sample_bilinear
-from gibson_sim_tools.texturing.surface import Surface, project
+from gibson_sim_tools.texturing.surface import project
 
 F16 = NDArray[np.float16]
 F32 = NDArray[np.float32]
@@ -68,7 +69,7 @@ class RefinedPoses:
 
 
 def refine_poses(
-    surface: Surface, photographs: Photographs, views: Views, exposures: Exposures, *, max_translation_m: float, max_rotation_deg: float,
+    surface: TriangleMesh, photographs: Photographs, views: Views, exposures: Exposures, *, max_translation_m: float, max_rotation_deg: float,
     progress: Callable[[float], None] = lambda _: None,
 ) -> RefinedPoses:  # fmt: skip
     """Returns refined poses.

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.compiling import CAN_COMPILE, compiled
 from gibson_sim.geometry.rasterise import numbered_pairs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
-from gibson_sim_tools.texturing.surface import Surface, project
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
+from gibson_sim_tools.texturing.surface import project
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -40,7 +41,7 @@ class VisibilityBuffer:
     """(H, W), metres along the optical axis; +inf = none."""
 
 
-def rasterise(surface: Surface, intrinsics: Intrinsics, T_world_camera: F64) -> VisibilityBuffer:
+def rasterise(surface: TriangleMesh, intrinsics: Intrinsics, T_world_camera: F64) -> VisibilityBuffer:
     """Returns the visibility buffer of a surface, without back-face culling, sampled at pixel centres.
 
     Args:

@@ -1,4 +1,4 @@
-"""Triangle surface to be textured: a welded mesh, edge splitting, face adjacency, pinhole projection."""
+"""The mesh to be textured: welding, edge splitting, face adjacency, pinhole projection."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from gibson_sim.geometry.transforms import invert
 from gibson_sim.geometry.triangle_meshes import weld
 from gibson_sim_tools.importing.checks.gravity import size_text
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -21,27 +22,6 @@ Bools = NDArray[np.bool_]
 _EDGES = ((0, 1), (1, 2), (2, 0))
 MAX_TRIANGLES = 10_000_000
 """Largest number of triangles after splitting long edges."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """Triangle mesh, world frame; triangles are counter-clockwise from outside."""
-
-    vertices: F64
-    """(V, 3), metres, no two equal."""
-    triangles: I64
-    """(F, 3), three distinct rows of ``vertices`` each; some triangles may be degenerate."""
-    colors: NDArray[np.uint8] | None = None
-    """(V, 3), vertex colours, sRGB; None = the mesh has none."""
-
-    @property
-    def corners(self) -> F64:
-        """(F, 3, 3), corners of the triangles, metres."""
-        return np.asarray(self.vertices[self.triangles])
-
-    def scaled(self, scale: float) -> Surface:
-        """Returns the surface scaled about the origin."""
-        return Surface(self.vertices * scale, self.triangles, self.colors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +34,7 @@ class Adjacency:
     """(E, 2), vertices of the common edge."""
 
 
-def surface_from_mesh(mesh: Mesh) -> Surface:
+def surface_from_mesh(mesh: Mesh) -> TriangleMesh:
     """Returns the welded triangles of a mesh, with vertex colours if all its parts have them.
 
     Raises:
@@ -68,17 +48,17 @@ def surface_from_mesh(mesh: Mesh) -> Surface:
         part_vertices = np.concatenate([part.vertices for part in mesh.parts]).astype(np.float64)
         part_colors = np.concatenate([part.colors[:, :3] for part in mesh.parts if part.colors is not None])
         colors = part_colors[cKDTree(part_vertices).query(vertices)[1]]
-    return Surface(vertices, triangles, colors)
+    return TriangleMesh(vertices, triangles, colors)
 
 
-def split_count(surface: Surface, max_length: float) -> int:
+def split_count(surface: TriangleMesh, max_length: float) -> int:
     """Returns about how many triangles ``split_long_edges`` would return."""
     corners = surface.corners
     lengths = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
     return int((np.maximum(lengths[:, 2] / max_length, 1.0) * np.maximum(lengths[:, 0] / max_length, 1.0)).sum())
 
 
-def check_split(surface: Surface, max_length: float) -> None:
+def check_split(surface: TriangleMesh, max_length: float) -> None:
     """Raises ScanError, which names the size of the surface, if ``split_long_edges`` would return too many triangles."""
     count = split_count(surface, max_length)
     if count > MAX_TRIANGLES:
@@ -89,7 +69,7 @@ def check_split(surface: Surface, max_length: float) -> None:
         )
 
 
-def split_long_edges(surface: Surface, max_length: float) -> Surface:
+def split_long_edges(surface: TriangleMesh, max_length: float) -> TriangleMesh:
     """Returns the surface with all edges at most ``max_length`` metres long.
 
     One photograph textures a triangle, so triangles must be small against the field of view. Each round splits all longer edges at their
@@ -105,7 +85,7 @@ def split_long_edges(surface: Surface, max_length: float) -> Surface:
         edges, edge_of_side = np.unique(sorted_ends, axis=0, return_inverse=True)
         is_long = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > max_length
         if not is_long.any():
-            return Surface(vertices, triangles, colors)
+            return TriangleMesh(vertices, triangles, colors)
         midpoint = np.where(is_long, np.cumsum(is_long) - 1 + len(vertices), -1)
         split_edges = edges[is_long]
         if colors is not None:

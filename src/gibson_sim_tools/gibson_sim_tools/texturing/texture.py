@@ -16,6 +16,7 @@ from scipy import sparse
 
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing import atlas as atlases
 from gibson_sim_tools.texturing.exposure import Exposures, estimate_exposures, identity_exposures
 from gibson_sim_tools.texturing.labelling import (
@@ -39,7 +40,7 @@ from gibson_sim_tools.texturing.outliers import inlier_mask, propagate_to_neighb
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import Views, concatenate_views, face_views, normalised_radius, sample_bilinear
 from gibson_sim_tools.texturing.settings import TextureSettings
-from gibson_sim_tools.texturing.surface import Adjacency, Surface, face_adjacency, project, split_long_edges
+from gibson_sim_tools.texturing.surface import Adjacency, face_adjacency, project, split_long_edges
 from gibson_sim_tools.texturing.visibility import depth_consistent, visible_faces
 
 F16 = NDArray[np.float16]
@@ -57,7 +58,7 @@ _GREY = 0.5
 class TexturedSurface:
     """A surface with its texture atlas."""
 
-    surface: Surface
+    surface: TriangleMesh
     labels: I32
     """(F,), photograph of each triangle, -1 = unseen."""
     atlas: atlases.Atlas
@@ -72,7 +73,7 @@ class TexturedSurface:
 
 
 def texture_surface(
-    surface: Surface,
+    surface: TriangleMesh,
     photographs: Photographs,
     settings: TextureSettings,
     progress: Progress = lambda _: None,
@@ -130,7 +131,7 @@ def _estimate_exposures(views: Views, photographs: Photographs, settings: Textur
 
 
 def _refine_poses(
-    surface: Surface, photographs: Photographs, views: Views, exposures: Exposures, settings: TextureSettings, report: TextureReport,
+    surface: TriangleMesh, photographs: Photographs, views: Views, exposures: Exposures, settings: TextureSettings, report: TextureReport,
     progress: Progress,
 ) -> Photographs:  # fmt: skip
     """Returns the photographs at refined poses, and reports the corrections."""
@@ -149,7 +150,7 @@ def _refine_poses(
     return photographs.with_poses(refined.poses)
 
 
-def collect_views(surface: Surface, photographs: Photographs, progress: Progress = lambda _: None) -> Views:
+def collect_views(surface: TriangleMesh, photographs: Photographs, progress: Progress = lambda _: None) -> Views:
     """Returns the views of all photographs, without triangles whose depth in the photograph's depth image, if any, is inconsistent."""
     parts = []
     for number, item in enumerate(photographs.items):
@@ -174,7 +175,7 @@ def exposure_corrected(views: Views, exposures: Exposures) -> Views:
 
 
 def build_texture(
-    surface: Surface, photographs: Photographs, labels: I32, exposures: Exposures, adjacency: Adjacency, settings: TextureSettings,
+    surface: TriangleMesh, photographs: Photographs, labels: I32, exposures: Exposures, adjacency: Adjacency, settings: TextureSettings,
     report: TextureReport, progress: Progress = lambda _: None,
 ) -> TexturedSurface:  # fmt: skip
     """Returns the textured surface of given labels (F,): atlas, seam levelling, colours of unseen triangles.
@@ -221,7 +222,7 @@ def build_texture(
     return TexturedSurface(surface, labels, atlas, pages_8bit, vertex_colors, photographs, exposures, report)
 
 
-def _vertex_colors(surface: Surface, atlas: atlases.Atlas, pages: list[F16]) -> NDArray[np.uint8]:
+def _vertex_colors(surface: TriangleMesh, atlas: atlases.Atlas, pages: list[F16]) -> NDArray[np.uint8]:
     """Returns the vertex colours (V, 3), sRGB: mean of the texture at textured vertices, interpolated at the others."""
     count = len(surface.vertices)
     color_sums, counts = np.zeros((count, 3)), np.zeros(count)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource, area_normals
 from gibson_sim_tools.importing.document import BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, is_scan, write_scene
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform
-from gibson_sim_tools.texturing.surface import Surface
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, level_transform
 from gibson_sim_tools.texturing.texture import TexturedSurface
 
 F32 = NDArray[np.float32]
@@ -36,9 +35,7 @@ def write_textured_scene(textured: TexturedSurface, output: Path, name: str = ""
     """
     mesh = textured_mesh(textured)
     if level:
-        surface = textured.surface
-        coloured = ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), textured.vertex_colors)
-        mesh = mesh.transformed(level_transform(coloured, textured.photographs.poses))
+        mesh = mesh.transformed(level_transform(textured.surface, textured.photographs.poses))
     name = name or output.resolve().name
     scene = ImportedScene(name, "textured scan", output.parent, light=BAKED_LIGHT)
     scene.objects = [ImportedObject(name, mesh, collision=SIMPLIFIED if is_scan(mesh) else "same")]
@@ -76,7 +73,7 @@ def textured_mesh(textured: TexturedSurface) -> Mesh:
 
 
 def _mesh_part(
-    surface: Surface, normals: F64, vertex_rows: I64, triangles: I64, material: Material, uvs: F32 | None, colors: NDArray[np.uint8] | None
+    surface: TriangleMesh, normals: F64, vertex_rows: I64, triangles: I64, material: Material, uvs: F32 | None, colors: NDArray[np.uint8] | None
 ) -> MeshPart:  # fmt: skip
     return MeshPart(
         surface.vertices[vertex_rows].astype(np.float32),

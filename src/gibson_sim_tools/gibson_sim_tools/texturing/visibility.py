@@ -10,8 +10,9 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.rasteriser import NEAR_PLANE, rasterise
-from gibson_sim_tools.texturing.surface import Surface, project
+from gibson_sim_tools.texturing.surface import project
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -44,7 +45,7 @@ class VisibleFaces:
     """(N, 3, 2), projections of their corners, columns and rows, pixels."""
 
 
-def visible_faces(surface: Surface, intrinsics: Intrinsics, T_world_camera: F64) -> VisibleFaces:
+def visible_faces(surface: TriangleMesh, intrinsics: Intrinsics, T_world_camera: F64) -> VisibleFaces:
     """Returns the front-facing triangles that lie within the image and have no occluded corner.
 
     Args:
@@ -71,7 +72,7 @@ def visible_faces(surface: Surface, intrinsics: Intrinsics, T_world_camera: F64)
     return VisibleFaces(faces, np.asarray(uv[surface.triangles[faces]]))
 
 
-def visible_points(surface: Surface, points: F64, intrinsics: Intrinsics, T_world_camera: F64) -> Bools:
+def visible_points(surface: TriangleMesh, points: F64, intrinsics: Intrinsics, T_world_camera: F64) -> Bools:
     """Returns the mask (N,) of the points that the surface does not occlude.
 
     Args:
@@ -101,7 +102,7 @@ def visible_points(surface: Surface, points: F64, intrinsics: Intrinsics, T_worl
     return np.asarray(~is_occluded)
 
 
-def depth_consistent(surface: Surface, visible: VisibleFaces, depth: F32, T_world_camera: F64) -> VisibleFaces:
+def depth_consistent(surface: TriangleMesh, visible: VisibleFaces, depth: F32, T_world_camera: F64) -> VisibleFaces:
     """Returns the visible triangles whose depth agrees with the measured depth image, or is unknown there.
 
     Elsewhere, the photograph shows an object that the mesh lacks, because it moved, is thin, or is too dark for the sensor.

@@ -28,10 +28,10 @@ from gibson_sim_tools.from_photographs.inputs import find_inputs, is_photograph_
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
 from gibson_sim_tools.from_photographs.stages import RECORD, Stage, StagedJob
 from gibson_sim_tools.photographs.layouts import open_photographs
-from gibson_sim_tools.scanning.coloured_mesh import transformed, write_ply
 from gibson_sim_tools.scanning.fusion import Fusion
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
+from gibson_sim_tools.scanning.triangle_mesh import transformed, write_ply
 from gibson_sim_tools.texturing.conventions import resolve_convention
 from gibson_sim_tools.texturing.evaluation import ImageSimilarity
 from gibson_sim_tools.texturing.surface import surface_from_mesh

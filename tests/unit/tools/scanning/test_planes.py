@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh
 from gibson_sim_tools.scanning.planes import SnapReport, snap_to_planes
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from support.scans import ROOM, THRESHOLD, noisy_room
 
 EDGE = 0.05
 """Edge of the triangles, metres."""
 
 
-def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> ColouredMesh:
+def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
     colors = np.zeros((len(vertices), 3), dtype=np.uint8)
-    return ColouredMesh(vertices.astype(np.float32), triangles.astype(np.int32), colors)
+    return TriangleMesh(vertices.astype(np.float64), triangles.astype(np.int64), colors)
 
 
-def _sheet(shape: tuple[int, int], height: np.ndarray, edge: float = EDGE) -> ColouredMesh:
+def _sheet(shape: tuple[int, int], height: np.ndarray, edge: float = EDGE) -> TriangleMesh:
     """Returns a height field over a grid (rows, columns), facing up."""
     rows, columns = shape
     v, u = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
@@ -29,14 +29,14 @@ def _sheet(shape: tuple[int, int], height: np.ndarray, edge: float = EDGE) -> Co
 
 
 @pytest.fixture(scope="module")
-def room() -> tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport]:
+def room() -> tuple[TriangleMesh, np.ndarray, TriangleMesh, SnapReport]:
     """A noisy room, the same without noise, and the noisy one snapped."""
     noisy = _mesh(*noisy_room(edge=EDGE, noise=0.004))
     clean = noisy_room(edge=EDGE, noise=0.0)[0]
     return noisy, clean, *snap_to_planes(noisy, EDGE, 0.02)
 
 
-def test_noise_of_walls_floor_and_ceiling_is_removed(room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport]) -> None:
+def test_noise_of_walls_floor_and_ceiling_is_removed(room: tuple[TriangleMesh, np.ndarray, TriangleMesh, SnapReport]) -> None:
     noisy, clean, mesh, report = room
     for axis, at in ((0, 0.0), (0, ROOM[0]), (1, ROOM[1]), (2, ROOM[2])):
         others = [k for k in range(3) if k != axis]
@@ -49,7 +49,7 @@ def test_noise_of_walls_floor_and_ceiling_is_removed(room: tuple[ColouredMesh, n
 
 
 def test_no_vertex_moves_beyond_the_limit_and_no_triangle_flips(
-    room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport],
+    room: tuple[TriangleMesh, np.ndarray, TriangleMesh, SnapReport],
 ) -> None:
     noisy, _, mesh, report = room
     away = np.linalg.norm(mesh.vertices.astype(float) - noisy.vertices, axis=1)
@@ -59,7 +59,7 @@ def test_no_vertex_moves_beyond_the_limit_and_no_triangle_flips(
 
 
 def test_the_edge_between_two_walls_is_where_their_planes_meet(
-    room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport],
+    room: tuple[TriangleMesh, np.ndarray, TriangleMesh, SnapReport],
 ) -> None:
     noisy, clean, mesh, _ = room
     edge = (np.abs(clean[:, 0] - ROOM[0]) < 1e-6) & (np.abs(clean[:, 1] - ROOM[1]) < 1e-6)
@@ -70,7 +70,7 @@ def test_the_edge_between_two_walls_is_where_their_planes_meet(
 
 
 def test_a_door_sill_above_the_noise_stays(
-    room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport],
+    room: tuple[TriangleMesh, np.ndarray, TriangleMesh, SnapReport],
 ) -> None:
     _, clean, mesh, _ = room
     top = (np.abs(clean[:, 2] - THRESHOLD) < 1e-6) & (np.abs(clean[:, 0] - 4.0) < 0.1) & (clean[:, 1] > 0.2) & (clean[:, 1] < 4.8)

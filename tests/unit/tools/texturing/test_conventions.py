@@ -11,9 +11,9 @@ import pytest
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim.geometry.transforms import invert
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.conventions import photo_consistency, resolve_convention, with_convention
 from gibson_sim_tools.texturing.photograph_selection import select_photographs
-from gibson_sim_tools.texturing.surface import Surface
 from support.painted_wall import painted_wall, photographed, row_of_cameras
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -82,7 +82,7 @@ def test_depth_images_reveal_another_scale_of_mesh_and_poses(taken):
     wall, photographs = taken
     poses = photographs.poses
     poses[:, :3, 3] /= 2.5
-    small = Surface(wall.surface.vertices / 2.5, wall.surface.triangles)
+    small = TriangleMesh(wall.surface.vertices / 2.5, wall.surface.triangles)
     with pytest.raises(ScanError, match=r"2.5 times as far as in the mesh; .* give --unit 2.5"):
         resolve_convention(small, photographs.with_poses(poses))
     resolve_convention(wall.surface, photographs)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing import rasteriser
 from gibson_sim_tools.texturing.rasteriser import barycentric, perspective_correct_weights, rasterise, rasterise_2d
-from gibson_sim_tools.texturing.surface import Surface, face_adjacency, project, split_count, split_long_edges
+from gibson_sim_tools.texturing.surface import face_adjacency, project, split_count, split_long_edges
 from gibson_sim_tools.texturing.visibility import depth_consistent, visible_faces
 
 CAMERA = Intrinsics(101, 81, 100.0, 100.0, 50.0, 40.0)
@@ -24,21 +25,21 @@ def square(z: float, half: float, x: float = 0.0) -> tuple[list[list[float]], li
     )
 
 
-def surface(*squares: tuple[list[list[float]], list[list[int]]]) -> Surface:
+def surface(*squares: tuple[list[list[float]], list[list[int]]]) -> TriangleMesh:
     vertices = np.concatenate([np.array(v) for v, _ in squares])
     triangles = np.concatenate([np.array(t) + 4 * k for k, (_, t) in enumerate(squares)])
-    return Surface(vertices, triangles)
+    return TriangleMesh(vertices, triangles)
 
 
 def test_splitting_is_limited_and_names_the_unit():
     corners = 4000.0 * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.7]])
-    large = Surface(corners, np.array([[0, 1, 2], [0, 1, 3]]))
+    large = TriangleMesh(corners, np.array([[0, 1, 2], [0, 1, 3]]))
     with pytest.raises(
         ScanError,
         match=r"the mesh is 4000 x 4000 x 2800 m; in mm it would be a room .* about \d+ million triangles, more than 10",
     ):
         split_long_edges(large, 0.25)
-    small = Surface(corners / 1000.0, large.triangles)
+    small = TriangleMesh(corners / 1000.0, large.triangles)
     assert split_count(small, 0.25) == pytest.approx(len(split_long_edges(small, 0.25).triangles), rel=0.7)
 
 
@@ -63,7 +64,7 @@ def test_the_nearer_of_two_squares_is_rasterised_with_its_depth():
 
 
 def test_depth_of_a_slanted_triangle_is_exact_between_its_corners():
-    slanted = Surface(np.array([[-1.0, -1.0, 1.0], [3.0, -1.0, 3.0], [-1.0, 3.0, 1.0]]), np.array([[0, 2, 1]]))
+    slanted = TriangleMesh(np.array([[-1.0, -1.0, 1.0], [3.0, -1.0, 3.0], [-1.0, 3.0, 1.0]]), np.array([[0, 2, 1]]))
     # On the axis z = 1.5 + x / 2 gives z = 1.5.
     assert abs(rasterise(slanted, CAMERA, EYE).depth[40, 50] - 1.5) < 1e-6
 
@@ -87,7 +88,7 @@ def test_visible_triangles_face_the_camera_are_not_occluded_and_lie_within_the_i
     assert visible_faces(surface(behind, square(1.0, 0.1, 0.3)), CAMERA, EYE).faces.tolist() == [0, 1, 2, 3]
     assert visible_faces(surface(outside), CAMERA, EYE).faces.tolist() == []
     back = surface(behind)
-    turned = Surface(back.vertices, back.triangles[:, ::-1])
+    turned = TriangleMesh(back.vertices, back.triangles[:, ::-1])
     assert visible_faces(turned, CAMERA, EYE).faces.tolist() == []
 
 
@@ -109,10 +110,10 @@ def test_triangles_are_not_visible_where_measured_depth_differs():
 
 def test_numba_and_numpy_rasterise_the_same(monkeypatch):
     rng = np.random.default_rng(0)
-    many = Surface(
+    many = TriangleMesh(
         rng.uniform((-1.0, -1.0, 1.0), (1.0, 1.0, 3.0), (60, 3)), rng.permuted(np.tile(np.arange(60), (40, 1)), axis=1)[:, :3]
     )
-    line = Surface(np.array([[-0.5, 0.0, 1.0], [0.0, 0.0, 1.0], [0.5, 0.0, 1.0]]), np.array([[0, 1, 2]]))
+    line = TriangleMesh(np.array([[-0.5, 0.0, 1.0], [0.0, 0.0, 1.0], [0.5, 0.0, 1.0]]), np.array([[0, 1, 2]]))
     corners = rng.uniform(-5.0, 40.0, (30, 3, 2))
     given = [rasterise(many, CAMERA, EYE), rasterise(line, CAMERA, EYE)], rasterise_2d(corners, 30, 20)
     monkeypatch.setattr(rasteriser, "CAN_COMPILE", not rasteriser.CAN_COMPILE)
@@ -148,7 +149,7 @@ def test_long_edges_are_split_without_a_gap():
 
 
 def test_colours_of_split_edges_are_means():
-    coloured = Surface(
+    coloured = TriangleMesh(
         *(lambda s: (s.vertices, s.triangles))(surface(square(2.0, 0.5))),
         np.array([[0] * 3, [100] * 3, [200] * 3, [100] * 3], np.uint8),
     )

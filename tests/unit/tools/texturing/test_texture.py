@@ -11,9 +11,9 @@ import pytest
 from gibson_sim.cli.main import main
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, write_ply
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
+from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, write_ply
 from gibson_sim_tools.texturing.atlas import (
     add_vertex_offsets,
     blank_pages,
@@ -32,7 +32,7 @@ from gibson_sim_tools.texturing.levelling import (
     mean_color_step,
 )
 from gibson_sim_tools.texturing.settings import TextureSettings
-from gibson_sim_tools.texturing.surface import Surface, face_adjacency
+from gibson_sim_tools.texturing.surface import face_adjacency
 from gibson_sim_tools.texturing.texture import texture_surface
 from gibson_sim_tools.texturing.textured_scene import UNSEEN_MATERIAL, textured_mesh, write_textured_scene
 from support.painted_wall import CAMERA, painted_wall, photographed, row_of_cameras
@@ -164,7 +164,7 @@ def test_unseen_triangles_are_a_mesh_part_with_interpolated_vertex_colors(textur
 def test_a_surface_that_no_photograph_shows_is_an_error(tmp_path):
     photographs = photographed(tmp_path, painted_wall(), row_of_cameras(2, np.random.default_rng(0)))
     with pytest.raises(ScanError, match="no photograph shows a triangle of the mesh"):
-        texture_surface(Surface(LEVEL - np.array([0.0, 0.0, 50.0]), SQUARE), photographs, TextureSettings())
+        texture_surface(TriangleMesh(LEVEL - np.array([0.0, 0.0, 50.0]), SQUARE), photographs, TextureSettings())
 
 
 def test_the_command_makes_a_scene(tmp_path, capsys):
@@ -181,7 +181,7 @@ def test_the_command_makes_a_scene(tmp_path, capsys):
     s = wall.surface
     write_ply(
         tmp_path / "wall.ply",
-        ColouredMesh(s.vertices.astype(np.float32), s.triangles.astype(np.int32), np.full((len(s.vertices), 3), 9, np.uint8)),
+        TriangleMesh(s.vertices.astype(np.float64), s.triangles.astype(np.int64), np.full((len(s.vertices), 3), 9, np.uint8)),
     )
     paths = [str(tmp_path / name) for name in ("scan", "wall.ply", "made")]
     words = ["scene", "texture", paths[0], paths[1], "--output", paths[2], "--name", "Wall"]

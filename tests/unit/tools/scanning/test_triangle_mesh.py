@@ -11,8 +11,10 @@ from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim_tools.importing.checks.gravity import guess_up
-from gibson_sim_tools.scanning.coloured_mesh import (
-    ColouredMesh,
+from gibson_sim_tools.scanning.fusion import open3d
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.triangle_mesh import (
+    TriangleMesh,
     decimated,
     level_transform,
     transformed,
@@ -20,12 +22,10 @@ from gibson_sim_tools.scanning.coloured_mesh import (
     without_small_components,
     write_ply,
 )
-from gibson_sim_tools.scanning.fusion import open3d
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from support.scans import noisy_room
 
 
-def boards(*heights_and_sizes: tuple[float, float]) -> ColouredMesh:
+def boards(*heights_and_sizes: tuple[float, float]) -> TriangleMesh:
     """Level squares that look up, each with its height and edge."""
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
     vertices = np.concatenate([square * (size, size, 1) + (0, 0, height) for height, size in heights_and_sizes]).astype(
@@ -33,7 +33,7 @@ def boards(*heights_and_sizes: tuple[float, float]) -> ColouredMesh:
     )
     triangles = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * k for k in range(len(heights_and_sizes))]).astype(np.int32)
     colors = np.arange(3 * len(vertices), dtype=np.uint8).reshape(-1, 3)
-    return ColouredMesh(vertices, triangles, colors)
+    return TriangleMesh(vertices, triangles, colors)
 
 
 def test_small_components_are_removed_with_their_vertices():
@@ -47,7 +47,7 @@ def test_close_vertices_are_welded_and_slivers_removed():
     flat = boards((0, 1.0))
     vertices = np.concatenate([flat.vertices, flat.vertices[:1] + np.float32(1e-5)])
     triangles = np.concatenate([flat.triangles, [[0, 4, 1]]]).astype(np.int32)
-    mesh = weld_vertices(ColouredMesh(vertices, triangles, np.zeros((5, 3), np.uint8)), 1e-3)
+    mesh = weld_vertices(TriangleMesh(vertices, triangles, np.zeros((5, 3), np.uint8)), 1e-3)
     assert (len(mesh.vertices), len(mesh.triangles)) == (4, 2)
     assert mesh.area == pytest.approx(1.0)
 
@@ -58,7 +58,7 @@ def test_a_decimated_mesh_keeps_its_shape_and_vertex_colors():
     first = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()
     triangles = np.concatenate([first[:, None] + corners for corners in ((0, 1, 42), (0, 42, 41))]).astype(np.int32)
     colors = np.column_stack([10 * x.ravel(), 10 * y.ravel(), np.zeros(x.size)]).astype(np.uint8)
-    full = ColouredMesh(vertices, triangles, colors)
+    full = TriangleMesh(vertices, triangles, colors)
     less = decimated(full, 400)
     assert 300 < len(less.triangles) <= 400
     assert less.area == pytest.approx(full.area, rel=1e-4)
@@ -92,7 +92,7 @@ def test_a_levelled_scan_is_level_by_the_measure_of_check():
     ramp = boards((0.0, 1.5)).vertices.astype(np.float64) @ matrix_from_pose(pose_from_xyz_rpy(rpy=(0.2, 0.0, 0.0)))[:3, :3].T
     corners = np.concatenate([vertices, ramp + np.array([2.0, 2.0, 0.1])])
     faces = np.concatenate([triangles, len(vertices) + np.array([[0, 1, 2], [0, 2, 3]])])
-    mesh = ColouredMesh(corners.astype(np.float32), faces.astype(np.int32), np.zeros((len(corners), 3), np.uint8))
+    mesh = TriangleMesh(corners.astype(np.float64), faces.astype(np.int64), np.zeros((len(corners), 3), np.uint8))
     T_scan_level = matrix_from_pose(pose_from_xyz_rpy((0.0, 0.0, 0.0), (-1.9, 0.3, 0.0)))
     upright = np.eye(4)
     upright[:3, :3] = np.array([[0.0, 0.4, 0.9], [-1.0, 0.0, 0.0], [0.0, -0.9, 0.4]])
