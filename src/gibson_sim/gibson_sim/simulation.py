@@ -53,7 +53,7 @@ from gibson_sim.types import (
 
 if TYPE_CHECKING:
     from gibson_sim.render.readback.tensors import TensorFrame
-    from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
+    from gibson_sim.render.renderer import Renderer
 
 Reading = ImuReading | BumperReading | BatteryReading
 
@@ -671,7 +671,7 @@ class Simulation:
 
     def _renderer_of(self, drawn: DrawnScene) -> Renderer:
         from gibson_sim.render.cache import default_folder  # OpenGL with it
-        from gibson_sim.render.renderer import Renderer
+        from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 
         if self._renderer is not None and self._loaded is drawn:
             return self._renderer

@@ -31,15 +31,16 @@ def scenario_of(stack: StackSpec = STACK, **other: object) -> Scenario:
 
 def test_run_in_lockstep_waits_for_our_nodes_and_the_rules_of_the_stack(tmp_path: Path) -> None:
     physics = node_settings(scenario_of(), RUN, tmp_path, tmp_path / "job").physics
-    assert physics.participants == "trial; record; cmd_vel=cmd_vel every 0.05; loc=pose after scan"
-    assert (physics.lockstep, physics.rate, physics.digests, physics.start_paused, physics.seed) == (True, 0.0, True, True, 7)
-    assert tuple(map(float, physics.start.split(","))) == pytest.approx((1.0, 2.0, 28.64788975654116))
+    assert physics.sync.participants == "trial; record; cmd_vel=cmd_vel every 0.05; loc=pose after scan"
+    assert (physics.sync.lockstep, physics.time.rate, physics.topics.digests) == (True, 0.0, True)
+    assert (physics.time.start_paused, physics.world.seed) == (True, 7)
+    assert tuple(map(float, physics.world.start.split(","))) == pytest.approx((1.0, 2.0, 28.64788975654116))
 
 
 def test_run_without_rules_is_in_real_time_at_the_rate_of_the_run(tmp_path: Path) -> None:
     scenario = scenario_of(replace(STACK, lockstep=()))
     physics = node_settings(scenario, replace(RUN, physics={"rate": 2.0}), tmp_path, tmp_path).physics
-    assert (physics.lockstep, physics.rate, physics.participants) == (False, 2.0, "")
+    assert (physics.sync.lockstep, physics.time.rate, physics.sync.participants) == (False, 2.0, "")
 
 
 def test_files_of_a_run_are_named_by_their_place(tmp_path: Path) -> None:
@@ -47,8 +48,8 @@ def test_files_of_a_run_are_named_by_their_place(tmp_path: Path) -> None:
     run = replace(run, physics={"randomise": "looks.yaml"})
     prepare_folder(run, tmp_path)
     physics = node_settings(scenario_of(), run, tmp_path, tmp_path).physics
-    assert Path(physics.robot).read_text() == "name: a\n"
-    assert Path(physics.randomise).read_text() == "{}\n"
+    assert Path(physics.world.robot).read_text() == "name: a\n"
+    assert Path(physics.world.randomise).read_text() == "{}\n"
 
 
 def test_recorder_keeps_the_images_that_the_scenario_requests(tmp_path: Path) -> None:
