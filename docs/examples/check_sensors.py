@@ -18,7 +18,7 @@ from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.types import Pose
 from gibson_sim_tools.scanning.clean_scene import opaque_triangles
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.posed_images import Intrinsics
 from gibson_sim_tools.texturing.rasteriser import rasterise
 from gibson_sim_tools.texturing.surface import Surface, split_long_edges
 

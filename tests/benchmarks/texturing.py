@@ -35,8 +35,8 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.types import CameraSpec, SceneState
 from gibson_sim_bench import timing
 from gibson_sim_tools.photographs.layouts import open_photographs
-from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.clean_scene import static_scene
+from gibson_sim_tools.scanning.posed_images import Photographs
 from gibson_sim_tools.scanning.trajectories import read_stamped_poses
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.evaluation import RenderedImage, image_similarity, render_textured

@@ -16,7 +16,7 @@ from gibson_sim_tools.scanning.capture import ScanSettings, scan
 from gibson_sim_tools.scanning.clean_scene import opaque_triangles, sample_surface
 from gibson_sim_tools.scanning.comparison import observed_points
 from gibson_sim_tools.scanning.layouts import open_posed_rgbd
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.scanning.settings import Defects, ScanCamera, TourSettings
 from gibson_sim_tools.scanning.trajectories import read_stamped_poses
 from support.scenes import write_room

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
-from gibson_sim_tools.photographs.photographs import CameraModel, Photograph, Photographs
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.posed_images import CameraModel, Intrinsics, Photograph, Photographs
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.quality import sample_bilinear
 

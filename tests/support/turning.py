@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim_tools.importing.checks.gravity import guess_up
-from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd
+from gibson_sim_tools.scanning.posed_images import PosedRgbd
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

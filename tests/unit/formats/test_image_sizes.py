@@ -16,7 +16,7 @@ from gibson_sim.errors import SceneError
 from gibson_sim.formats.image_header import image_size
 from gibson_sim.formats.textures import decode_pixels
 from gibson_sim.render.draw.environment import load_environment
-from gibson_sim_tools.scanning.posed_rgbd import ScanError, read_image
+from gibson_sim_tools.scanning.posed_images import ScanError, read_image
 from support.effort import effort
 from support.gltf import png
 

@@ -96,7 +96,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim_tools.cli.importing import unit_m
     from gibson_sim_tools.from_photographs.image_checks import check_photographs
     from gibson_sim_tools.photographs.layouts import open_photographs
-    from gibson_sim_tools.scanning.posed_rgbd import ScanError
+    from gibson_sim_tools.scanning.posed_images import ScanError
     from gibson_sim_tools.texturing.conventions import resolve_convention
     from gibson_sim_tools.texturing.evaluation import contact_sheet, evaluate_held_out
     from gibson_sim_tools.texturing.photograph_selection import select_photographs

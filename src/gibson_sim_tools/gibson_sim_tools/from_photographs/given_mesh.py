@@ -13,8 +13,7 @@ from gibson_sim.errors import MeshError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim.geometry.triangle_meshes import unit_normals
-from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import Photographs, ScanError
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO, CAMERA_CONVENTIONS
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, decimated
 from gibson_sim_tools.texturing.conventions import with_convention

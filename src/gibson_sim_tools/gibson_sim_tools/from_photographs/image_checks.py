@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 from gibson_sim.formats.image_header import MAX_IMAGE_BYTES, image_size
 from gibson_sim.reading import read_file
-from gibson_sim_tools.photographs.photographs import ASPECT_TOLERANCE, Photograph, Photographs
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ASPECT_TOLERANCE, Photograph, Photographs, ScanError
 
 _PNG, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _PNG_BITS, _PNG_COLOR_TYPE = 24, 25

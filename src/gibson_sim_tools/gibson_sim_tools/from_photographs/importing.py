@@ -29,7 +29,6 @@ from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.types import Vec3
 from gibson_sim.writing import cannot_write, size_text, write_file
 from gibson_sim_tools.from_photographs.closed_floor import closed_floor
-from gibson_sim_tools.from_photographs.depth_frames import DepthFrames
 from gibson_sim_tools.from_photographs.given_mesh import given_mesh
 from gibson_sim_tools.from_photographs.image_checks import check_photographs
 from gibson_sim_tools.from_photographs.inputs import PhotographInputs
@@ -47,11 +46,10 @@ from gibson_sim_tools.importing.document import (
     write_scene,
 )
 from gibson_sim_tools.importing.glb import write_glb
-from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplify_quadric
 from gibson_sim_tools.scanning.planes import snap_to_planes
 from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import Photographs, ScanError
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO, FuseSettings
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, decimated, level_transform, level_transform_from_up, write_ply
 from gibson_sim_tools.texturing.conventions import resolve_convention
@@ -166,8 +164,7 @@ class PhotographImport:
 
     def _check_images(self, progress: Progress) -> Sequence[str]:
         rgbd = self.inputs.rgbd
-        is_registered = rgbd is not None and not isinstance(rgbd, DepthFrames)
-        depth_size = (rgbd.intrinsics.width, rgbd.intrinsics.height) if rgbd is not None and is_registered else None
+        depth_size = (rgbd.intrinsics.width, rgbd.intrinsics.height) if rgbd is not None and rgbd.is_registered else None
         total = check_photographs(self.inputs.photographs, progress, depth_size)
         return [f"{len(self._files())} images are whole, {size_text(total)}"]
 
@@ -176,7 +173,7 @@ class PhotographImport:
         settings = FuseSettings(voxel=self.settings.voxel, depth_max=self.settings.depth_max, snap=0.0)
         photographs, rgbd = self.inputs.photographs, self.inputs.rgbd
         held_out_files = {photographs.items[k].file for k in self._held_out()}
-        held_out = [k for k, files in enumerate(rgbd.files) if files.color in held_out_files]
+        held_out = [k for k, item in enumerate(rgbd.photographs.items) if item.file in held_out_files]
         if self.settings.hold_out_depth:
             rgbd, held_out = rgbd.subset(np.setdiff1d(np.arange(len(rgbd)), held_out).tolist()), []
         convention, message = detect_convention(rgbd, range(len(rgbd)), settings.depth_max, self.pose_convention)

@@ -17,14 +17,12 @@ from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.reading import is_file, is_folder
 from gibson_sim.scenes.scene_yaml import DESCRIPTION
 from gibson_sim.writing import cannot_write
-from gibson_sim_tools.from_photographs.depth_frames import depth_frames
 from gibson_sim_tools.importing.fetching.archives import only_folder, unpack
 from gibson_sim_tools.importing.sources import USD_SUFFIXES
 from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.photographs.phone_layouts import find_record3d_images
-from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd
-from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
+from gibson_sim_tools.scanning.posed_images import Photographs, PosedRgbd, ScanError, rgbd_of
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _UNSUPPORTED_SUFFIXES = (".heic", ".heif", ".dng", ".mov", ".mp4")
@@ -141,7 +139,7 @@ def find_inputs(
             raise ScanError(f"--mesh {mesh_file}: is not a file; give the mesh of the scan")
         return PhotographInputs(photographs, None, mesh_file)
     is_rgbd = photographs.layout in {layout.name for layout in LAYOUTS}
-    rgbd = open_posed_rgbd(folder, focal=focal, depth_scale=depth_scale) if is_rgbd else depth_frames(photographs)
+    rgbd = open_posed_rgbd(folder, focal=focal, depth_scale=depth_scale) if is_rgbd else rgbd_of(photographs)
     if rgbd is None:
         raise ScanError(
             f"{folder}: has {len(photographs)} photographs with poses ({photographs.layout}), but neither depth images that can be fused nor a "

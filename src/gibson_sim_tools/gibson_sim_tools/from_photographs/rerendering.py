@@ -16,8 +16,8 @@ from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, Output, SceneState
-from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.clean_scene import static_scene
+from gibson_sim_tools.scanning.posed_images import Photographs
 from gibson_sim_tools.texturing.evaluation import RenderedImage, exposure_matched
 
 U8 = NDArray[np.uint8]

@@ -19,10 +19,16 @@ from gibson_sim.geometry.transforms import invert, matrix_from_quat
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder, read_file
 from gibson_sim_tools.photographs.phone_layouts import find_polycam_folders, find_record3d_images, read_polycam, read_record3d
-from gibson_sim_tools.photographs.photographs import CameraModel, Photograph, Photographs, without_lost_poses
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd, read_json
 from gibson_sim_tools.scanning.pose_conventions import OPTICAL_OPENGL
-from gibson_sim_tools.scanning.posed_rgbd import ScanError, intrinsics_of
+from gibson_sim_tools.scanning.posed_images import (
+    CameraModel,
+    Photograph,
+    Photographs,
+    ScanError,
+    intrinsics_of,
+    without_lost_poses,
+)
 
 F64 = NDArray[np.float64]
 
@@ -77,9 +83,7 @@ def open_photographs(
         return replace(photographs, items=tuple(replace(item, depth_scale=depth_scale) for item in photographs.items))
     if any(layout.recognises(folder) for layout in LAYOUTS):
         rgbd = open_posed_rgbd(folder, focal=focal, depth_scale=depth_scale)
-        camera = CameraModel(rgbd.intrinsics)
-        items = tuple(Photograph(f.color, camera, f.T_world_camera, f.depth, rgbd.depth_scale) for f in rgbd.files)
-        return Photographs(folder, rgbd.layout, items, longest_side, rgbd.warnings)
+        return replace(rgbd.photographs, longest_side=longest_side)
     check_no_bag(folder)
     if count_images(folder):
         raise ScanError(f"{folder}: has photographs but no poses; {POSE_PROGRAMS}")

@@ -16,10 +16,16 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.transforms import matrix_from_quat
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder
-from gibson_sim_tools.photographs.photographs import CameraModel, Photograph, Photographs, without_lost_poses
 from gibson_sim_tools.scanning.layouts import read_json
 from gibson_sim_tools.scanning.pose_conventions import OPTICAL_OPENGL
-from gibson_sim_tools.scanning.posed_rgbd import ScanError, intrinsics_of
+from gibson_sim_tools.scanning.posed_images import (
+    CameraModel,
+    Photograph,
+    Photographs,
+    ScanError,
+    intrinsics_of,
+    without_lost_poses,
+)
 
 F64 = NDArray[np.float64]
 

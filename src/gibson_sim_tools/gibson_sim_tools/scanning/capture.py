@@ -35,7 +35,7 @@ from gibson_sim_tools.scanning.clean_scene import opaque_triangles, sample_surfa
 from gibson_sim_tools.scanning.defects import estimated_poses, image_effects, measured_depth
 from gibson_sim_tools.scanning.intrinsics_files import write_intrinsics
 from gibson_sim_tools.scanning.layouts import DESCRIPTION, FORMAT, read_json
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, depth_units
+from gibson_sim_tools.scanning.posed_images import Intrinsics, ScanError, depth_units
 from gibson_sim_tools.scanning.route import RigView, plan_views
 from gibson_sim_tools.scanning.settings import Defects, ScanCamera, TourSettings
 from gibson_sim_tools.scanning.stations import candidate_stations, find_storeys, select_stations

@@ -14,7 +14,7 @@ from gibson_sim.geometry.triangle_meshes import spread_over, unit_normals
 from gibson_sim.maps.bodies import still_visuals
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim_tools.scanning.clean_scene import SurfaceSamples, opaque_triangles, sample_surface, visible_points
-from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd
+from gibson_sim_tools.scanning.posed_images import PosedRgbd
 from gibson_sim_tools.scanning.trajectories import read_stamped_poses
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 

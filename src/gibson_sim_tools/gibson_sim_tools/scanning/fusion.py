@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim_tools.scanning.planes import SnapReport, snap_to_planes
-from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError, depth_units
+from gibson_sim_tools.scanning.posed_images import PosedRgbd, ScanError, depth_units
 from gibson_sim_tools.scanning.settings import FuseSettings
 from gibson_sim_tools.scanning.triangle_mesh import (
     TriangleMesh,

@@ -13,7 +13,7 @@ from gibson_sim.errors import GibsonSimError, TextError
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import MAX_YAML_BYTES, is_file, is_folder, parse_yaml, read_file
 from gibson_sim.writing import write_file
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.posed_images import Intrinsics, ScanError
 
 INTRINSIC_FILES = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
 """File names with priority."""

@@ -18,7 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim_tools.scanning.intrinsics_files import INTRINSIC_FILES, find_intrinsics
-from gibson_sim_tools.scanning.posed_rgbd import FrameFiles, Intrinsics, PosedRgbd, ScanError, check_pose, read_image
+from gibson_sim_tools.scanning.posed_images import (
+    CameraModel,
+    Intrinsics,
+    Photograph,
+    Photographs,
+    PosedRgbd,
+    ScanError,
+    check_pose,
+    read_image,
+)
 from gibson_sim_tools.scanning.trajectories import (
     associate,
     parse_numbers,
@@ -45,6 +54,10 @@ _ASSOCIATIONS = ("associations.txt", "associate.txt")
 _PHOTOGRAPH_LAYOUTS = {"transforms.json": "nerfstudio", "keyframes": "polycam", "sparse": "colmap"}
 """File or folder -> layout of posed photographs that it marks, for messages."""
 _MILLIMETRES, _TUM_SCALE = 1000.0, 5000.0
+
+
+_Frame = tuple[Path, Path, F64]
+"""Colour image, depth image, T_world_camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +149,7 @@ def _read_seven_scenes(folder: Path, options: _Overrides) -> PosedRgbd:
                 f"{folder}: frame {number} has no {' and no '.join(missing)}; "
                 f"each needs frame-{number:06d}.color.png, .depth.png and .pose.txt"
             )
-        files.append(FrameFiles(parts["color"], parts["depth"], _read_matrix(parts["pose"])))
+        files.append((parts["color"], parts["depth"], _read_matrix(parts["pose"])))
     return _with_intrinsics(folder, "7-scenes", files, options, _SEVEN_SCENES, _MILLIMETRES)
 
 
@@ -147,7 +160,7 @@ def _read_tum(folder: Path, options: _Overrides) -> PosedRgbd:
     stamps, poses = read_stamped_poses(pose_file)
     pairs = _tum_pairs(folder)
     matched = [(pose_at(stamps, poses, stamp, TIME_TOLERANCE_S), color, depth) for stamp, color, depth in pairs]
-    files = [FrameFiles(color, depth, pose) for pose, color, depth in matched if pose is not None]
+    files = [(color, depth, pose) for pose, color, depth in matched if pose is not None]
     if not files:
         raise ScanError(
             f"{pose_file}: has no pose within {TIME_TOLERANCE_S:g} s of any of the {len(pairs)} pairs of images; "
@@ -211,7 +224,7 @@ def _resolve_inside(path: Path, number: int, name: str) -> Path:
     return path.parent / named
 
 
-def _match_by_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], poses: F64) -> list[FrameFiles]:
+def _match_by_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], poses: F64) -> list[_Frame]:
     """Returns the frames, with images and poses matched by their order.
 
     Raises:
@@ -222,7 +235,7 @@ def _match_by_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], 
             f"{folder}: has {len(color)} colour images, {len(depth)} depth images and {len(poses)} poses; there must be as many of each"
             f"{_first_missing(color, depth, len(poses))}"
         )
-    return [FrameFiles(c, d, pose) for c, d, pose in zip(color, depth, poses, strict=True)]
+    return list(zip(color, depth, poses, strict=True))
 
 
 def _first_missing(color: Sequence[Path], depth: Sequence[Path], poses: int) -> str:
@@ -237,13 +250,13 @@ def _first_missing(color: Sequence[Path], depth: Sequence[Path], poses: int) -> 
 
 
 def _with_intrinsics(
-    folder: Path, layout: str, files: Sequence[FrameFiles], options: _Overrides, assumed: Intrinsics | None, depth_scale: float,
+    folder: Path, layout: str, frames: Sequence[_Frame], options: _Overrides, assumed: Intrinsics | None, depth_scale: float,
     warnings: tuple[str, ...] = (),
 ) -> PosedRgbd:  # fmt: skip
     """Returns the set with its intrinsics: those of the caller, else of a file in the folder, else of the layout's usual camera."""
-    if not files:
+    if not frames:
         raise ScanError(f"{folder}: has no frame")
-    height, width = read_image(files[0].depth, cv2.IMREAD_UNCHANGED).shape[:2]
+    height, width = read_image(frames[0][1], cv2.IMREAD_UNCHANGED).shape[:2]
     ignored: tuple[str, ...] = ()
     if options.focal is not None:
         intrinsics = Intrinsics(width, height, *options.focal)
@@ -261,10 +274,12 @@ def _with_intrinsics(
             warnings = (*warnings, f"intrinsics are those of {file}: {text}")
     if (intrinsics.width, intrinsics.height) != (width, height):
         raise ScanError(
-            f"{files[0].depth}: has {width}x{height} pixels, the intrinsics are for {intrinsics.width}x{intrinsics.height}; "
+            f"{frames[0][1]}: has {width}x{height} pixels, the intrinsics are for {intrinsics.width}x{intrinsics.height}; "
             + "; ".join(("give those of this size with --intrinsics fx,fy,cx,cy", *(f"{folder}/{line}" for line in ignored)))
         )
-    return PosedRgbd(folder, layout, intrinsics, options.depth_scale or depth_scale, tuple(files), warnings)
+    camera, scale = CameraModel(intrinsics), options.depth_scale or depth_scale
+    items = tuple(Photograph(color, camera, pose, depth, scale) for color, depth, pose in frames)
+    return PosedRgbd(Photographs(folder, layout, items, warnings=warnings), intrinsics)
 
 
 def _read_matrix(path: Path) -> F64:

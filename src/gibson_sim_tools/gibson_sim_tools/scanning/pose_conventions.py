@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import Mat4, invert, transform_points
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, PosedRgbd, ScanError
+from gibson_sim_tools.scanning.posed_images import Intrinsics, PosedRgbd, ScanError
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO, CAMERA_CONVENTIONS
 
 F64 = NDArray[np.float64]

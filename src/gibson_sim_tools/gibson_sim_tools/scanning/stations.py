@@ -15,7 +15,7 @@ from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, Pose
 from gibson_sim_tools.scanning.clean_scene import SurfaceSamples
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.scanning.settings import ScanCamera, TourSettings
 
 F64 = NDArray[np.float64]

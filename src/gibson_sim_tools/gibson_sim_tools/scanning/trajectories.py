@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gibson_sim.geometry.interpolation import slerp
 from gibson_sim.geometry.transforms import matrices_from_poses, quat_from_matrix
 from gibson_sim.writing import write_file
-from gibson_sim_tools.scanning.posed_rgbd import ScanError, check_pose
+from gibson_sim_tools.scanning.posed_images import ScanError, check_pose
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

@@ -16,7 +16,7 @@ from gibson_sim.geometry.transforms import Mat4, transform_points
 from gibson_sim.geometry.triangle_meshes import components, simplified_triangles
 from gibson_sim.geometry.upright import find_candidates
 from gibson_sim.writing import write_file
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import transform_points
-from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
+from gibson_sim_tools.scanning.posed_images import PosedRgbd, ScanError
 from gibson_sim_tools.scanning.settings import FuseSettings
 
 F64 = NDArray[np.float64]

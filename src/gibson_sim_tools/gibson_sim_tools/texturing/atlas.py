@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.texturing.rasteriser import barycentric, rasterise_2d
 from gibson_sim_tools.texturing.settings import LARGEST_PAGE
 

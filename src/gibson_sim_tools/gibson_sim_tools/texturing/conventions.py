@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim_tools.importing.checks.gravity import size_text
-from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.pose_conventions import reinterpret_poses
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import Photographs, ScanError
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.quality import Views, concatenate_views, face_views, triangle_areas_px

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.geometry.colours import srgb_from_linear
 from gibson_sim.sensors.image_similarity import psnr, ssim_map
-from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.posed_images import Intrinsics, Photographs
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.quality import LINEAR_FROM_SRGB8, sample_bilinear
 from gibson_sim_tools.texturing.rasteriser import barycentric, perspective_correct_weights, rasterise

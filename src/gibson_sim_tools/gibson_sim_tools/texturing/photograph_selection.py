@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.photographs.photographs import Photographs
+from gibson_sim_tools.scanning.posed_images import Photographs
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.rasteriser import rasterise
 

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from gibson_sim.geometry.transforms import invert
 from gibson_sim.geometry.triangle_meshes import unit_normals
-from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.posed_images import Intrinsics, Photographs
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.exposure import Exposures
 from gibson_sim_tools.texturing.quality import SAMPLE_WEIGHTS, Views, normalised_radius, sample_bilinear

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.colours import linear_from_srgb, srgb_from_linear
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.posed_images import Intrinsics
 from gibson_sim_tools.texturing.visibility import VisibleFaces
 
 F32 = NDArray[np.float32]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.geometry.compiling import CAN_COMPILE, compiled
 from gibson_sim.geometry.rasterise import numbered_pairs
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.posed_images import Intrinsics
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.surface import project
 

@@ -12,7 +12,7 @@ from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.transforms import invert
 from gibson_sim.geometry.triangle_meshes import weld
 from gibson_sim_tools.importing.checks.gravity import size_text
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.posed_images import Intrinsics, ScanError
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 
 F64 = NDArray[np.float64]

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import Photographs, ScanError
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing import atlas as atlases
 from gibson_sim_tools.texturing.exposure import Exposures, estimate_exposures, identity_exposures

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from gibson_sim.geometry.triangle_meshes import unit_normals
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.scanning.posed_images import Intrinsics
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.rasteriser import NEAR_PLANE, rasterise
 from gibson_sim_tools.texturing.surface import project

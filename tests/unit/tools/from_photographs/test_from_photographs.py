@@ -29,7 +29,7 @@ from gibson_sim_tools.from_photographs.settings import PhotographSettings
 from gibson_sim_tools.from_photographs.stages import RECORD, Stage, StagedJob
 from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.scanning.fusion import Fusion
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.posed_images import Intrinsics, ScanError
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
 from gibson_sim_tools.scanning.triangle_mesh import transformed, write_ply
 from gibson_sim_tools.texturing.conventions import resolve_convention
@@ -267,7 +267,7 @@ def test_held_out_photographs_are_not_fused_with_hold_out_depth(tmp_path, fused,
     ((rgbd, _, depth_only),) = fused
     assert depth_only == []
     others = [1, 2, 3, 4, 6, 7, 8, 9, 11]
-    assert [int(files.color.stem) for files in rgbd.files] == others
+    assert [int(item.file.stem) for item in rgbd.photographs.items] == others
     np.testing.assert_array_equal(rgbd[5].T_world_camera, job.inputs.photographs.poses[7])
     assert rgbd[5].depth.tolist() == job.inputs.rgbd[7].depth.tolist()
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gibson_sim_tools.photographs.layouts import open_photographs
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 
 # The camera is at x = 1, y = 2, z = 3, and looks along -x of the world with z up.
 T_WORLD_CAMERA = np.array([[0.0, 0.0, -1.0, 1.0], [1.0, 0.0, 0.0, 2.0], [0.0, -1.0, 0.0, 3.0], [0.0, 0.0, 0.0, 1.0]])

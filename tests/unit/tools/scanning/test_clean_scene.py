@@ -13,7 +13,7 @@ from gibson_sim.description.urdf import parse_urdf
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.scanning.clean_scene import opaque_triangles, static_scene
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from support.scenes import write_room
 
 CABINET = """

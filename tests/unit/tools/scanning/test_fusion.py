@@ -15,7 +15,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.scanning.comparison import compare
 from gibson_sim_tools.scanning.fusion import distances_to_mesh, fuse, fuse_scan, selected_frames
 from gibson_sim_tools.scanning.layouts import open_posed_rgbd
-from gibson_sim_tools.scanning.posed_rgbd import ScanError, depth_units
+from gibson_sim_tools.scanning.posed_images import ScanError, depth_units
 from gibson_sim_tools.scanning.settings import FuseSettings
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
 

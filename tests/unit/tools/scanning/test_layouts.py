@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.scanning.trajectories import write_stamped_poses, write_trajectory_log
 
 WIDTH, HEIGHT = 12, 8
@@ -258,8 +258,8 @@ def test_tum_leaves_out_frames_without_a_pose_and_reports_them(tmp_path):
 def test_tum_associations_come_in_either_order(order, tmp_path):
     folder = tum_folder(tmp_path / "set")
     (folder / "associations.txt").write_text(order + "\n")
-    files = open_posed_rgbd(folder, focal=FOCAL).files
-    assert [(f.color.name, f.color.parent.name, f.depth.parent.name) for f in files] == [("0.png", "rgb", "depth")]
+    items = open_posed_rgbd(folder, focal=FOCAL).photographs.items
+    assert [(f.file.name, f.file.parent.name, f.depth.parent.name) for f in items] == [("0.png", "rgb", "depth")]
 
 
 def test_tum_clocks_that_differ_are_named(tmp_path):
@@ -294,7 +294,7 @@ def test_an_interrupted_scan_says_how_to_finish_it(tmp_path):
 )
 def test_an_invalid_depth_image_is_refused_when_it_is_read(spoil, why, tmp_path):
     rgbd = open_posed_rgbd(open3d_folder(tmp_path / "set"))
-    spoil(rgbd.files[1].depth)
+    spoil(rgbd.photographs.items[1].depth)
     assert rgbd[0].number == 0
     with pytest.raises(ScanError, match=why):
         rgbd[1]

@@ -16,7 +16,7 @@ from gibson_sim.geometry.transforms import invert
 from gibson_sim_tools.scanning import fusion
 from gibson_sim_tools.scanning.layouts import open_posed_rgbd
 from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
-from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
+from gibson_sim_tools.scanning.posed_images import PosedRgbd, ScanError
 from support.photographed_room import COUNT, write_rgbd
 
 F64 = NDArray[np.float64]
@@ -93,7 +93,8 @@ def test_poses_in_millimetres_are_named(room: PosedRgbd) -> None:
 def test_depth_images_without_depth_are_named(room: PosedRgbd, tmp_path: Path) -> None:
     file = tmp_path / "empty.png"
     cv2.imwrite(str(file), np.zeros((48, 64), dtype=np.uint16))
-    empty = replace(room, files=tuple(replace(files, depth=file) for files in room.files))
+    photographs = room.photographs
+    empty = replace(room, photographs=replace(photographs, items=tuple(replace(item, depth=file) for item in photographs.items)))
     with pytest.raises(ScanError, match="hold no depth: all pixels of the 11 that were read are 0 or 65535"):
         found(empty)
 

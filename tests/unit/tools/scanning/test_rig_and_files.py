@@ -14,7 +14,17 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim_tools.scanning.capture import intrinsics_of, mounts
 from gibson_sim_tools.scanning.intrinsics_files import find_intrinsics, write_intrinsics
-from gibson_sim_tools.scanning.posed_rgbd import FrameFiles, Intrinsics, PosedRgbd, ScanError, check_pose, depth_units, metres
+from gibson_sim_tools.scanning.posed_images import (
+    CameraModel,
+    Intrinsics,
+    Photograph,
+    Photographs,
+    PosedRgbd,
+    ScanError,
+    check_pose,
+    depth_units,
+    metres,
+)
 from gibson_sim_tools.scanning.route import RigView, StationPaths, short_tour
 from gibson_sim_tools.scanning.settings import ScanCamera, TourSettings
 from gibson_sim_tools.scanning.stations import Station, StoreyFloor, nearest_at_horizon
@@ -107,19 +117,25 @@ def test_a_pose_must_be_a_rigid_transform(change: tuple[Any, Any, Any], why: str
 
 
 def test_frames_are_read_by_number_with_their_colours_in_order(tmp_path: Path) -> None:
-    files = []
+    images = []
     for number in range(2):
         color, depth = tmp_path / f"{number}.png", tmp_path / f"{number}d.png"
         cv2.imwrite(str(color), np.full((3, 4, 3), (1, 2, 100 + number), dtype=np.uint8))
         cv2.imwrite(str(depth), np.full((3, 4), 500, dtype=np.uint16))
-        files.append(FrameFiles(color, depth, np.eye(4)))
-    rgbd = PosedRgbd(tmp_path, "own", Intrinsics(4, 3, 10, 10, 1.5, 1.0), 1000.0, tuple(files))
+        images.append((color, depth))
+
+    def opened(width: int, depth_scale: float) -> PosedRgbd:
+        intrinsics = Intrinsics(width, 3, 10, 10, 1.5, 1.0)
+        items = tuple(Photograph(color, CameraModel(intrinsics), np.eye(4), depth, depth_scale) for color, depth in images)
+        return PosedRgbd(Photographs(tmp_path, "own", items), intrinsics)
+
+    rgbd = opened(4, 1000.0)
     assert len(rgbd) == 2 and [f.number for f in rgbd] == [0, 1] and rgbd[-1].number == 1
     assert rgbd[1].rgb[0, 0].tolist() == [101, 2, 1] and rgbd[1].depth[0, 0] == 0.5
     with pytest.raises(ScanError, match="has 4x3 pixels, the intrinsics are for 5x3"):
-        _ = PosedRgbd(tmp_path, "own", Intrinsics(5, 3, 10, 10, 1.5, 1.0), 1000.0, tuple(files))[0]
+        _ = opened(5, 1000.0)[0]
     with pytest.raises(ScanError, match="depth scale is 0"):
-        PosedRgbd(tmp_path, "own", Intrinsics(4, 3, 10, 10, 1.5, 1.0), 0.0, tuple(files))
+        opened(4, 0.0)
 
 
 def test_intrinsics_are_read_as_they_were_written(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.types import CameraSpec
 from gibson_sim_tools.scanning.clean_scene import SurfaceSamples, sample_surface, visible_points
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.scanning.route import plan_views, short_tour
 from gibson_sim_tools.scanning.settings import ScanCamera, TourSettings
 from gibson_sim_tools.scanning.stations import Station, StoreyFloor, candidate_stations, select_stations, visible_from

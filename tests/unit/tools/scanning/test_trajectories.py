@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.scanning.trajectories import (
     associate,
     pose_at,

@@ -12,7 +12,7 @@ from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim_tools.importing.checks.gravity import guess_up
 from gibson_sim_tools.scanning.fusion import open3d
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.scanning.triangle_mesh import (
     TriangleMesh,
     decimated,

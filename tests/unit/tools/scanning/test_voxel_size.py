@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim_tools.scanning.posed_rgbd import FrameFiles, Intrinsics, PosedRgbd, RgbdFrame, ScanError
+from gibson_sim_tools.scanning.posed_images import (
+    CameraModel,
+    Intrinsics,
+    Photograph,
+    Photographs,
+    PosedRgbd,
+    RgbdFrame,
+    ScanError,
+)
 from gibson_sim_tools.scanning.settings import FuseSettings
 from gibson_sim_tools.scanning.voxel_size import BLOCK_BYTES, SIZES, select_voxel_size
 
@@ -17,8 +25,9 @@ class Wall(PosedRgbd):
     """Cameras that look straight at a wall, each 0.1 m beside the last."""
 
     def __init__(self, focal: float, depth: float, frames: int = 4, noise: float = 0.0) -> None:
-        files = tuple(FrameFiles(Path("c"), Path("d"), np.eye(4)) for _ in range(frames))
-        super().__init__(Path("scan"), "test", Intrinsics(96, 72, focal, focal, 47.5, 35.5), 1000.0, files)
+        intrinsics = Intrinsics(96, 72, focal, focal, 47.5, 35.5)
+        items = tuple(Photograph(Path("c"), CameraModel(intrinsics), np.eye(4), Path("d")) for _ in range(frames))
+        super().__init__(Photographs(Path("scan"), "test", items), intrinsics)
         object.__setattr__(self, "_depth", depth)
         object.__setattr__(self, "_noise", noise)
 

@@ -10,7 +10,7 @@ import pytest
 
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim.geometry.transforms import invert
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing.conventions import photo_consistency, resolve_convention, with_convention
 from gibson_sim_tools.texturing.photograph_selection import select_photographs

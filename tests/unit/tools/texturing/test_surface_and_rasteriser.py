@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.posed_images import Intrinsics, ScanError
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh
 from gibson_sim_tools.texturing import rasteriser
 from gibson_sim_tools.texturing.rasteriser import barycentric, perspective_correct_weights, rasterise, rasterise_2d

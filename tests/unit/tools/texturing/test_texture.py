@@ -11,7 +11,7 @@ import pytest
 from gibson_sim.cli.main import main
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_images import ScanError
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
 from gibson_sim_tools.scanning.triangle_mesh import TriangleMesh, write_ply
 from gibson_sim_tools.texturing.atlas import (
