@@ -15,7 +15,7 @@ EDGE = 0.05
 
 def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
     colors = np.zeros((len(vertices), 3), dtype=np.uint8)
-    return TriangleMesh(vertices.astype(np.float64), triangles.astype(np.int64), colors)
+    return TriangleMesh(vertices.astype(np.float64), triangles.astype(np.int64), colors).single()
 
 
 def _sheet(shape: tuple[int, int], height: np.ndarray, edge: float = EDGE) -> TriangleMesh:

@@ -79,8 +79,10 @@ def test_noisy_poses_are_fused_with_a_warning(room: PosedRgbd) -> None:
 
 @pytest.mark.parametrize(("present", "right"), [(5000.0, "1000"), (200.0, "1000"), (100.0, "1000")])
 def test_the_right_depth_scale_is_named(room: PosedRgbd, present: float, right: str) -> None:
+    photographs = room.photographs
+    items = tuple(replace(item, depth_scale=present) for item in photographs.items)
     with pytest.raises(ScanError, match=f"they agree with a depth scale of {right} units per metre instead of {present:g} "):
-        found(replace(room, depth_scale=present))
+        found(replace(room, photographs=replace(photographs, items=items)))
 
 
 def test_poses_in_millimetres_are_named(room: PosedRgbd) -> None:
