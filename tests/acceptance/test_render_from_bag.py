@@ -232,7 +232,7 @@ def test_a_tracer_gives_the_colours_and_the_renderer_all_else(
     assert (tracer.scenes, tracer.states, tracer.closed) == ([1, 2], [2, 4, 6, 8, 10, 12], True)
     images, others = (_messages(bag, "/own/image_raw") for bag in (folder, drawn[0]))
     assert [image_to_array(image)[0, 0].tolist() for image in images] == [[0, 0, 1]] * 3 + [[0, 0, 2]] * 3
-    assert [header_stamp_ns(image.header.stamp) for image in images] == [header_stamp_ns(image.header.stamp) for image in others]
+    assert [time_from_msg(image.header.stamp) for image in images] == [time_from_msg(image.header.stamp) for image in others]
     depths = [[image_to_array(image) for image in _messages(bag, "/own/depth/image_raw")] for bag in (folder, drawn[0])]
     assert all(np.array_equal(a, b) for a, b in zip(*depths, strict=True))
 

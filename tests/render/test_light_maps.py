@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from gibson_sim.render import cache
 from gibson_sim.render.batching.building import build_geometry
 from gibson_sim.render.batching.scene_geometry import VERTEX
 from gibson_sim.render.lod.clusters import build_clusters, weld
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer, RenderOptions
 from gibson_sim.scenes.spec import LightSpec
 from gibson_sim.types import OUTPUTS, Frame
 from gibson_sim_tools.making.pixels import tone_map
@@ -66,8 +67,10 @@ def read_linearly(image: NDArray[np.floating], size: int) -> NDArray[np.float64]
     return out
 
 
-def rgb_of(mesh: Mesh, visual: VisualSpec | None = None, light: LightSpec = DARK, **settings: float) -> NDArray[np.int64]:
-    with Renderer(scene(visual or mesh_visual(), light=light), loader=loader_of(mesh), **settings) as renderer:
+def rgb_of(mesh: Mesh, visual: VisualSpec | None = None, light: LightSpec = DARK, **settings: Any) -> NDArray[np.int64]:
+    with Renderer(
+        scene(visual or mesh_visual(), light=light), meshes=loader_of(mesh), options=RenderOptions(**settings)
+    ) as renderer:
         rgb = renderer.render(state(), [EYE])[0].rgb
     assert rgb is not None
     return rgb.astype(np.int64)
@@ -92,7 +95,7 @@ def test_pixels_of_a_file_equal_the_formula(tmp_path: Path) -> None:
     builder.primitive(attributes, builder.indices([[0, 2, 1], [0, 3, 2]]), material)
     (tmp_path / "quad.glb").write_bytes(builder.to_bytes("quad", Z_UP_TO_Y_UP.astype(float)))
     visual = VisualSpec("quad", "", Shape("mesh", (1.0, 1.0, 1.0), str(tmp_path / "quad.glb")))
-    with Renderer(scene(visual), allowed_roots=[tmp_path]) as renderer:
+    with Renderer(scene(visual), meshes=MeshFiles(allowed_roots=[tmp_path])) as renderer:
         (frame,), (again,) = (renderer.render(state(), [EYE]) for _ in range(2))
         assert not renderer.warnings
     assert frame.rgb is not None and again.rgb is not None
@@ -127,7 +130,7 @@ def test_no_other_output_changes() -> None:
     camera = eye_at((-1.5, 0.2, 1.2), look_at=(0.3, 0.0, 0.0), width=90, height=70, outputs=OUTPUTS)
     frames: list[Frame] = []
     for mesh in (Mesh((part,)), lit(Mesh((part,)), light_map(np.random.default_rng(2).uniform(0.0, 4.0, (16, 16, 3))))):
-        with Renderer(scene(mesh_visual("a"), box((0.5, 0.0, 0.3)), links=("a",)), loader=loader_of(mesh)) as renderer:
+        with Renderer(scene(mesh_visual("a"), box((0.5, 0.0, 0.3)), links=("a",)), meshes=loader_of(mesh)) as renderer:
             now, before = (state(("a",), [(0.0, y, 0.0)]) for y in (0.0, 0.1))
             frames.append(renderer.render(now, [camera], before)[0])
     for name in OUTPUTS:
@@ -209,7 +212,10 @@ def test_coarser_levels_keep_the_light() -> None:
     camera = eye_at((-3.0, 0.3, 2.0), look_at=(0.0, 0.0, 0.0), width=160, height=120)
     frames, triangles = [], []
     for detail in (0.0, 1.0):
-        with detail_from(1), Renderer(scene(mesh_visual()), loader=loader_of(mesh), detail_px=detail) as renderer:
+        with (
+            detail_from(1),
+            Renderer(scene(mesh_visual()), meshes=loader_of(mesh), options=RenderOptions(detail_px=detail)) as renderer,
+        ):
             frames.append(renderer.render(state(), [camera])[0])
             triangles.append(renderer.drawn_triangles)
     exact, coarse = (f.rgb.astype(int) for f in frames)
@@ -223,7 +229,7 @@ def test_culling_changes_no_byte() -> None:
     camera = eye_at((0.5, 0.2, 0.4), look_at=(2.0, 0.5, 0.0), width=80, height=60)
     pictures = []
     for cull in (True, False):
-        with Renderer(scene(mesh_visual()), loader=loader_of(mesh), cull=cull) as renderer:
+        with Renderer(scene(mesh_visual()), meshes=loader_of(mesh), options=RenderOptions(cull=cull)) as renderer:
             pictures.append(renderer.render(state(), [camera])[0].rgb)
     np.testing.assert_array_equal(*pictures)
 
@@ -250,7 +256,7 @@ def test_a_cached_scene_draws_the_same(tmp_path: Path, monkeypatch: pytest.Monke
     visual = VisualSpec("quad", "", Shape("mesh", (1.0, 1.0, 1.0), str(tmp_path / "quad.glb")))
     seen = []
     for _ in range(2):
-        with Renderer(scene(visual), allowed_roots=[tmp_path], cache=tmp_path / "cache") as renderer:
+        with Renderer(scene(visual), meshes=MeshFiles(allowed_roots=[tmp_path], cache=tmp_path / "cache")) as renderer:
             seen.append(renderer.render(state(), [EYE])[0].rgb)
     assert len(list((tmp_path / "cache").glob("*.scene"))) == 1
     assert np.ptp(seen[0]) > 50
@@ -268,7 +274,7 @@ def test_a_light_mapped_body_joins_a_scene_without_light_maps() -> None:
         return blue if shape.mesh == "/far" else later
 
     before, after = scene(far), scene(far, near, links=("body/link",))
-    with Renderer(before, loader=load) as renderer:
+    with Renderer(before, meshes=load) as renderer:
         assert renderer.render(state(), [EYE])[0].rgb[32, 32].tolist() == [0, 0, 255]
         assert not renderer.update(replace(after, revision=2))  # not reloaded
         rgb = renderer.render(state(["body/link"], [(0.0, 0.0, 0.0)], revision=2), [EYE])[0].rgb.astype(int)

@@ -18,7 +18,7 @@ from gibson_sim.geometry.transforms import invert, matrices_from_poses, matrix_f
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import duration_text
 from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.renderer import MeshFiles, Renderer
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.load import load_scene, with_robots
@@ -218,7 +218,7 @@ def _measured(name: str, plan: RealismPlan, progress: Callable[[str], None]) -> 
     links = (*T_base_links, *(f"{body.name}/{link}" for body in scene.bodies for link in body.links))
     drawn = drawn_scene(with_robot, links)
     states = [_state(drawn, arrangement, T_base_links) for arrangement in arrangements]
-    with Renderer(drawn, cache=default_folder()) as renderer:
+    with Renderer(drawn, meshes=MeshFiles(cache=default_folder())) as renderer:
         frames = [
             renderer.render(state, [arrangement.camera])[0] for state, arrangement in zip(states, arrangements, strict=True)
         ]
