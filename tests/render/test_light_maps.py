@@ -317,3 +317,16 @@ def test_smooth_edges_have_the_same_colours() -> None:
         return rgb.astype(np.int64)
 
     assert np.abs(drawn(4)[32, 32] - drawn(1)[32, 32]).max() <= 1
+
+
+def test_every_camera_sees_the_same_light() -> None:
+    wide = replace(EYE, name="wide", projection="fisheye", fov_y=1.6, width=96, height=96)
+    round_about = replace(EYE, name="round", projection="equirectangular", width=128, height=64)
+    quad = lit_quad(0.9, replace(WHITE, base_color=(0.8, 0.6, 0.4, 1.0)))
+    expected = tone_map(0.9 * linear_from_srgb([0.8, 0.6, 0.4]))
+    for share in (True, False):
+        with Renderer(scene(mesh_visual()), loader=loader_of(quad), share_targets=share) as renderer:
+            for frame in renderer.render(state(), [EYE, wide, round_about, replace(EYE, name="small", width=32)]):
+                assert frame.rgb is not None
+                height, width = frame.rgb.shape[:2]
+                assert np.abs(frame.rgb[height // 2, width // 2].astype(int) - expected).max() <= 1, frame.camera

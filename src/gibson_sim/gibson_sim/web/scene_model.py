@@ -81,7 +81,9 @@ def scene_model(scene: DrawnScene, warn: Callable[[str], None] = lambda _: None)
         triangles = part.triangles.astype(np.int64)
         if share < 1.0:
             triangles = simplified_triangles(part.vertices, triangles, least=max(12, int(share * len(triangles))))
-        batch = batches.setdefault((link, number, part.material.unlit, blend), _Batch())
+        # The page has no light maps: its own light shows the shapes of such surfaces.
+        unlit = part.material.unlit and part.material.light_map is None
+        batch = batches.setdefault((link, number, unlit, blend), _Batch())
         batch.triangles.append(triangles + batch.count)
         batch.vertices.append(_vertices(part, matrix, color))
         batch.count += len(part.vertices)

@@ -1,6 +1,6 @@
 """Generates Gaussian splats from the surfaces of a scene, as a reference: their image can be compared with that of the mesh.
 
-They are flat discs with the unlit colours of the textures; that is correct for scenes with baked light.
+They are flat discs with the colours of the textures, in the light of light maps; that is correct for scenes with baked light.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
+from gibson_sim.formats.light_maps import radiance_of
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import MeshPart
 from gibson_sim.formats.splats import SH_DC, Splats
@@ -19,6 +20,7 @@ from gibson_sim.geometry.triangle_meshes import areas_of, spread_over, unit_norm
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim_tools.making.pixels import tone_map
 
 F64 = NDArray[np.float64]
 _RELATIVE_WIDTH = 0.7
@@ -83,8 +85,13 @@ def _sample_part(
     texture = part.material.texture
     if texture is not None and part.uvs is not None and color is None:
         uv = np.einsum("nk,nkc->nc", weights, part.uvs[triangles].astype(np.float64))
-        colors *= linear_from_srgb(_sample_texture(texture.pixels[:, :, :3], uv))
-    return points, unit_normals(corners)[triangle_of_point], np.asarray(srgb_from_linear(colors), dtype=np.float64)
+        colors *= linear_from_srgb(_sample_texture(texture.pixels[:, :, :3], uv) / 255.0)
+    srgb = srgb_from_linear(colors)
+    light = part.material.light_map
+    if light is not None and part.light_uvs is not None and color is None:
+        uv = np.clip(np.einsum("nk,nkc->nc", weights, part.light_uvs[triangles].astype(np.float64)), 0.0, 1.0)
+        srgb = tone_map(colors * _sample_texture(radiance_of(light.pixels, part.material.light_intensity), uv)) / 255.0
+    return points, unit_normals(corners)[triangle_of_point], np.asarray(srgb, dtype=np.float64)
 
 
 def _thin_out(points: F64, triangle_of_point: NDArray[np.int64], spacing: float) -> tuple[F64, NDArray[np.int64]]:
@@ -105,8 +112,8 @@ def _barycentric(corners: F64, points: F64) -> F64:
     return np.stack([1.0 - weight_b - weight_c, weight_b, weight_c], axis=1)
 
 
-def _sample_texture(image: NDArray[np.uint8], uv: F64) -> F64:
-    """Returns the sRGB colours, 0 to 1, (N, 3), of a repeating image (H, W, 3) at texture coordinates (N, 2), interpolated bilinearly."""
+def _sample_texture(image: NDArray[np.uint8] | NDArray[np.float32], uv: F64) -> F64:
+    """Returns the values, (N, 3), of a repeating image (H, W, 3) at texture coordinates (N, 2), interpolated bilinearly."""
     height, width = image.shape[:2]
     pixels = np.mod(uv, 1.0) * (width, height) - 0.5
     rows = -(-len(pixels) // 4096)  # OpenCV limits maps to 32767 rows and columns
@@ -114,7 +121,7 @@ def _sample_texture(image: NDArray[np.uint8], uv: F64) -> F64:
     maps[:, : len(pixels)] = pixels.T
     x, y = maps.reshape(2, rows, 4096)
     colors = cv2.remap(np.ascontiguousarray(image), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return np.asarray(colors.reshape(-1, 3)[: len(pixels)] / 255.0, dtype=np.float64)
+    return np.asarray(colors.reshape(-1, 3)[: len(pixels)], dtype=np.float64)
 
 
 def _quats_from_normals(normals: F64) -> NDArray[np.float32]:

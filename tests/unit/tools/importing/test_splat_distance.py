@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import SceneError
+from gibson_sim.formats.glb import GlbBuilder
+from gibson_sim.formats.light_maps import light_map_png
 from gibson_sim.formats.splats import SH_DC, Splats, splats_ply
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.scene_meshes import collision_triangles
@@ -16,6 +18,7 @@ from gibson_sim.scenes.spec import SplatsSpec
 from gibson_sim_tools.importing.checks.check import check_path
 from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
 from gibson_sim_tools.importing.checks.splats import splat_distance
+from gibson_sim_tools.making.pixels import tone_map
 from gibson_sim_tools.making.splats import splats_of_scene
 
 FLOOR = "objects: [{name: floor, box: [4, 4, 0.2], pose: {xyz: [0, 0, -0.1]}, color: [0.2, 0.4, 0.6]}]\n"
@@ -36,6 +39,21 @@ def test_splats_lie_flat_on_the_surfaces_with_their_colours(tmp_path: Path) -> N
     x, y = splats.quats_xyzw[top, :2].T
     np.testing.assert_allclose(np.abs(1 - 2 * (x * x + y * y)), 1.0, atol=1e-6)
     assert (splats.scales[:, 2] < 0.2 * splats.scales[:, 0]).all()
+
+
+def test_splats_of_a_light_mapped_surface_have_its_colours_in_the_light(tmp_path: Path) -> None:
+    builder = GlbBuilder()
+    light = builder.texture_data(light_map_png(np.full((2, 2, 3), 0.5), 2.0))
+    material = builder.light_mapped_material({"pbrMetallicRoughness": {"baseColorFactor": [0.4, 0.8, 1.0, 1.0]}}, light, 2.0)
+    attributes = {
+        "POSITION": builder.attribute([[-2, 0, -2], [-2, 0, 2], [2, 0, 2]], bounds=True),
+        "TEXCOORD_1": builder.attribute([[0, 0], [0, 65535], [65535, 65535]], "u2", normalized=True),
+    }
+    builder.primitive(attributes, builder.indices([[0, 1, 2]]), material)
+    (tmp_path / "floor.glb").write_bytes(builder.to_bytes("floor"))
+    splats = _splats(tmp_path, "objects: [{name: floor, mesh: floor.glb}]\n")
+    expected = tone_map([0.2, 0.4, 0.5]) / 255.0
+    np.testing.assert_allclose(splats.sh[:, 0] * SH_DC + 0.5, np.tile(expected, (len(splats), 1)), atol=1.5 / 255.0)
 
 
 def test_a_scene_without_an_opaque_surface_gives_no_splats(tmp_path: Path) -> None:
