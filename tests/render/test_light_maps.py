@@ -325,7 +325,7 @@ def test_every_camera_sees_the_same_light() -> None:
     quad = lit_quad(0.9, replace(WHITE, base_color=(0.8, 0.6, 0.4, 1.0)))
     expected = tone_map(0.9 * linear_from_srgb([0.8, 0.6, 0.4]))
     for share in (True, False):
-        with Renderer(scene(mesh_visual()), loader=loader_of(quad), share_targets=share) as renderer:
+        with Renderer(scene(mesh_visual()), meshes=loader_of(quad), options=RenderOptions(share_targets=share)) as renderer:
             for frame in renderer.render(state(), [EYE, wide, round_about, replace(EYE, name="small", width=32)]):
                 assert frame.rgb is not None
                 height, width = frame.rgb.shape[:2]
