@@ -11,13 +11,14 @@ export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
 # Keeps another ROS installation or environment out of ours.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run check test fuzz lint format bench wheels clean
+.PHONY: help setup run check test quick fuzz lint format bench wheels clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make setup              make the environment $(VENV); PYTHON=python3.12 chooses the interpreter (3.10 to 3.13)'
 	@echo 'make run ARGS="..."     set up, then gibson-sim run ...'
 	@echo 'make test               set up, then all tests; PYTEST_ARGS="-k name" chooses some'
+	@echo 'make quick              set up, then the tests of the core that need neither processes nor engines: a minute'
 	@echo 'make check              what a change must pass: lint, then all tests; none skipped for what this machine has'
 	@echo 'make fuzz ARGS="..."    set up, then hostile inputs for a minute; ARGS="--seconds 3600" for an hour, --help for more'
 	@echo 'make lint               set up, then ruff, mypy and the import rules'
@@ -53,6 +54,12 @@ test: setup
 	@'$(BIN)/python' -m pytest $(PYTEST_ARGS)
 endif
 
+# For a change in the core, while you work on it: docs/testing.md says what it leaves out.
+QUICK_WITHOUT := agents bags bench cli examples jobs learn path_following processes testing tools
+
+quick: setup
+	@OPENBLAS_NUM_THREADS=1 '$(BIN)/python' -m pytest -q -n auto --maxprocesses 4 --dist loadfile tests/conformance tests/unit $(QUICK_WITHOUT:%=--ignore=tests/unit/%) $(PYTEST_ARGS)
+
 # The page is tested in a real browser: as root the check installs one, elsewhere its tests say what is missing.
 check: lint
 	@if ! command -v chromium >/dev/null && command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ]; then \
@@ -65,7 +72,7 @@ fuzz: setup
 lint: setup
 	@'$(BIN)/ruff' check $(CODE)
 	@'$(BIN)/ruff' format --check $(CODE)
-	@'$(BIN)/mypy'
+	@'$(BIN)/mypy' --native-parser --num-workers 2
 	@'$(BIN)/lint-imports'
 
 format: setup

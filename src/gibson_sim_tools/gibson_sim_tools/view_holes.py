@@ -201,15 +201,16 @@ def _hits(corners: F64) -> Sequence[tuple[I64, I64, F64, Bools]]:
     a, b, c = (corners[which, k] for k in range(3))
     # The ray through a pixel passes a triangle on the inner side of the three planes through the eye and its edges. A common edge of two
     # triangles gives the same numbers with opposite signs, so no ray slips through between them.
-    edges = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+    edges = [np.ascontiguousarray(np.cross(*ends).T) for ends in ((b, c), (c, a), (a, b))]
     normals = np.cross(b - a, c - a)
     offsets = np.einsum("nk,nk->n", normals, a)
     rays, out = _rays(), []
     for k, number in numbered_pairs(counts, _PAIRS_AT_ONCE):
         pixel = (first[k, 1] + number // sizes[k, 0]) * WIDTH + first[k, 0] + number % sizes[k, 0]
         x, y = rays[pixel].T
-        side = edges[k, :, 0] * x[:, None] + edges[k, :, 1] * y[:, None] + edges[k, :, 2]
-        inside = (side >= 0.0).all(axis=1) | (side <= 0.0).all(axis=1)
+        sides = [edge[0, k] * x + edge[1, k] * y + edge[2, k] for edge in edges]
+        inside = np.minimum(np.minimum(*sides[:2]), sides[2]) >= 0.0
+        inside |= np.maximum(np.maximum(*sides[:2]), sides[2]) <= 0.0
         k, pixel, x, y = k[inside], pixel[inside], x[inside], y[inside]
         along = normals[k, 0] * x + normals[k, 1] * y + normals[k, 2]
         with np.errstate(divide="ignore", invalid="ignore"):

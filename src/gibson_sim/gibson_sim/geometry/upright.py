@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.level import level_direction
-from gibson_sim.geometry.patches import Patches, in_other_cubes
+from gibson_sim.geometry.patches import Patches, in_other_cubes, occupied_cells
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -194,9 +194,8 @@ def _bounds(patches: Patches, axis: F64, sides: F64, heights: F64, level_structu
     cells -= cells.min(axis=0)
     counts = cells.max(axis=0) + 1
     codes = (cells[:, 0] * counts[1] + cells[:, 1]) * counts[2] + cells[:, 2]
-    occupied, inverse = np.unique(codes, return_inverse=True)
-    inverse = inverse.reshape(-1)
-    solid = np.bincount(inverse, level_structure[patches.cube]) / np.bincount(inverse) > 0.3
+    occupied, cell, numbers = occupied_cells(codes)
+    solid = np.bincount(cell, level_structure[patches.cube]) / numbers > 0.3
     column, row = occupied // counts[2], occupied % counts[2]
     free = (column[1:] == column[:-1]) & ((row[1:] - row[:-1]) * edge > least)
     # Without a ceiling there are only few such columns, below tables and shelves, which are no evidence.
