@@ -55,10 +55,10 @@ test: setup
 endif
 
 # For a change in the core, while you work on it: docs/testing.md says what it leaves out.
-QUICK_WITHOUT := agents bags bench cli examples jobs learn path_following processes testing tools
+QUICK_WITHOUT := agents bags bench cli examples jobs learn path_following processes testing tools trials
 
 quick: setup
-	@OPENBLAS_NUM_THREADS=1 '$(BIN)/python' -m pytest -q -n auto --maxprocesses 4 --dist loadfile tests/conformance tests/unit $(QUICK_WITHOUT:%=--ignore=tests/unit/%) $(PYTEST_ARGS)
+	@OPENBLAS_NUM_THREADS=1 '$(BIN)/python' -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m 'not shipped' tests/conformance tests/unit $(QUICK_WITHOUT:%=--ignore=tests/unit/%) $(PYTEST_ARGS)
 
 # The page is tested in a real browser: as root the check installs one, elsewhere its tests say what is missing.
 check: lint

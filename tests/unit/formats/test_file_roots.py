@@ -30,6 +30,7 @@ def install_with_links(source: Path, target: Path) -> Path:
     return target
 
 
+@pytest.mark.shipped
 def test_every_scene_loads_from_an_installation_made_of_links(tmp_path: Path) -> None:
     scenes = known_scenes()
     assert {"linden_flat", "orchard_house", "corner_shop"} <= set(scenes)

@@ -56,6 +56,7 @@ def test_doors_are_called_by_the_rooms_that_they_connect(poses: tuple[NamedPose,
     assert doors["floor_0/door_hall_bathroom"].pose.quat_xyzw[2] == pytest.approx(math.sqrt(0.5), abs=0.05)
 
 
+@pytest.mark.shipped
 @pytest.mark.parametrize("name", sorted(known_scenes()))
 def test_every_room_that_a_scene_names_has_one_place_where_a_robot_can_stand(name: str) -> None:
     scene = load_scene(name)

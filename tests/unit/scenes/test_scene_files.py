@@ -161,6 +161,7 @@ def test_clearances_are_exact() -> None:
     assert clearances(planks, [(0.0, 0.0), (0.8, 0.0)], 0.0, 1.5) == pytest.approx([0.0, 0.3])
 
 
+@pytest.mark.shipped
 @pytest.mark.parametrize("folder", SCENES, ids=lambda folder: folder.name)
 def test_a_shipped_scene_carries_everything_and_all_of_it_fits(folder: Path) -> None:
     scene = load_scene(folder)
