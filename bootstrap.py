@@ -69,7 +69,7 @@ PARENTS = "share/ament_index/resource_index/parent_prefix_path"
 MANIFESTS = "gibson_setup/messages"
 """Folder, below the same, with a list of installed files for each message package."""
 PIP = ("--disable-pip-version-check", "--no-compile")
-"""Options of pip. Python compiles a module when it is first imported, which few of them are; ``FIRST_IMAGE`` imports what nodes need."""
+"""Options of pip. Python compiles a module when it is first imported, which few of them are; ``NODES`` imports these."""
 KEPT_BUILDS = 4
 """Builds of the message packages, and of the loops, that the user's cache keeps, the most recently used ones."""
 
@@ -127,8 +127,6 @@ COMPILED = tuple(
 """Modules with numeric loops that Numba compiles."""
 FIRST_IMAGE = """
 import gibson_sim as gs
-import gibson_sim.cli.commands.run, gibson_sim.ros.nodes.physics_node, gibson_sim.ros.nodes.record_node, gibson_sim.ros.nodes.render_node
-import gibson_sim.ros.nodes.drive_node, gibson_sim.ros.nodes.web_node
 with gs.Simulation("linden_flat") as sim:
     sim.step(seconds=0.1)
     sim.render("camera", outputs=["rgb", "depth", "hole"])
@@ -140,7 +138,12 @@ from gibson_sim.render.draw.splat_raster import COLUMNS, blend_tiles, place_in_t
 tiled = place_in_tiles(fixed(np.ones((1, COLUMNS), np.float32)), 16, 16)
 blend_tiles(*tiled, fixed(np.zeros((16, 16), np.float32)), np.zeros((16, 16, 4), np.float32), 0, 1)
 """
-"""Program that runs all of these loops and imports the nodes."""
+"""Program that runs all of these loops."""
+NODES = """
+import gibson_sim.cli.commands.run, gibson_sim.ros.nodes.drive_node, gibson_sim.ros.nodes.physics_node, gibson_sim.ros.nodes.record_node
+import gibson_sim.ros.nodes.render_node, gibson_sim.ros.nodes.web_node
+"""
+"""Program that imports what nodes need."""
 
 
 class SetupError(Exception):
@@ -610,9 +613,7 @@ def install_project(venv: Path) -> bool:
 
 
 def draw_first_image(venv: Path) -> bool:
-    """Steps and draws a scene once, and imports the nodes: this compiles the numeric loops and the modules, for which the first simulation
-    would wait; each one, if PYTHONDONTWRITEBYTECODE is set or another user owns the environment. Returns whether it did.
-    """
+    """Steps and draws a scene once: it compiles the numeric loops, for which the first simulation would wait. Returns whether it did."""
     package = ROOT / "src" / "gibson_sim" / "gibson_sim"
     sources = [package / "geometry" / "compiling.py", *COMPILED]
     stamp = Stamp(venv, "first_image", digest(sources, str(venv)))
@@ -631,6 +632,14 @@ def draw_first_image(venv: Path) -> bool:
         forget_old_builds(kept)
     stamp.write()
     return True
+
+
+def compile_nodes(venv: Path) -> None:
+    """Imports the nodes, which compiles their modules. Otherwise, the first simulation would do so; or each one, if PYTHONDONTWRITEBYTECODE is
+    set or another user owns the environment.
+    """
+    with step("compiling the modules of the nodes"):
+        run([str(venv / "bin" / "python"), "-c", NODES], venv, venv / "gibson_setup" / "nodes.log")
 
 
 def copy_loops(source: Path, target: Path) -> bool:
@@ -704,6 +713,8 @@ def set_up(venv: Path) -> None:
         # Downloads, while compilers work
         done += [install_packages(venv, packages), install_project(venv), draw_first_image(venv)]
         done.append(messages.result())
+        if any(done):
+            compile_nodes(venv)
     say(f"{venv} is ready" if any(done) else f"{venv} is up to date")
 
 
