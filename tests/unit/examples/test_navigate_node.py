@@ -202,7 +202,7 @@ def test_a_command_does_not_depend_on_whether_the_scan_of_its_time_is_there(feed
         fed.map()
         drive(fed, scan_first=scan_first)
         drives.append((velocities(fed), [conversions.stamp_ns(tf.transforms[0].header.stamp) for tf in fed.tfs]))
-        assert drives[0] == drives[1]
+    assert drives[0] == drives[1]
     assert drives[0][0][-1][0] > 0.0, "it drives"
     assert drives[0][1] == [ms * MS + 200 * MS for ms in range(100, 1001, 100)], "each scan is answered by a transform"
 
