@@ -1,10 +1,11 @@
-"""Denoises baked light with Open Image Denoise, which is part of Blender."""
+"""Denoises pictures with Open Image Denoise, which is part of Blender."""
 
 from __future__ import annotations
 
 import ctypes
 import importlib.util
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,12 @@ from numpy.typing import NDArray
 F32 = NDArray[np.float32]
 _CPU, _FLOAT3 = 1, 3
 _NAMES = ("libOpenImageDenoise.so*", "libOpenImageDenoise*.dylib", "OpenImageDenoise.dll")
+_NOISE_WINDOW_PX = 9
+"""Edge of the window in which the noise is estimated, pixels."""
+_ACCEPTED_SIGMAS = 5.0
+"""Largest change by the denoiser, in standard deviations of the noise."""
+_OUTLIER = 3.0
+"""Distance from the median of its neighbours at which a pixel stands out, relative to that of the denoised pixel."""
 
 
 def denoise(image: F32, **features: F32) -> F32:
@@ -39,6 +46,33 @@ def denoise(image: F32, **features: F32) -> F32:
     library.oidnReleaseFilter(denoiser)
     library.oidnReleaseDevice(device)
     return source if has_failed else result
+
+
+def is_noise(mean: F32, smooth: F32, spread: F32) -> NDArray[np.bool_]:
+    """Returns where the denoiser removed only noise, (H, W).
+
+    Its change is below the local noise, or it removes a single pixel that stands out from its neighbours: paths that are far too bright can be
+    in both halves.
+
+    Args:
+        mean: mean of two pictures with half of the samples each, (H, W, 3), linear.
+        smooth: its denoised version.
+        spread: half of the difference of the two.
+    """
+    own = (spread**2).mean(axis=2)
+    local = np.mean(_neighbours(own, _NOISE_WINDOW_PX), axis=0)
+    below = ((smooth - mean) ** 2).mean(axis=2) <= _ACCEPTED_SIGMAS**2 * np.maximum(own, local)
+    gray, smooth_gray = mean.mean(axis=2), smooth.mean(axis=2)
+    median = np.median(_neighbours(gray, 3), axis=0)
+    single = np.abs(gray - median) > _OUTLIER * np.abs(smooth_gray - median)
+    return np.asarray(below | single)
+
+
+def _neighbours(values: NDArray[np.floating[Any]], window: int) -> NDArray[np.floating[Any]]:
+    """Returns the values in a square window about each pixel, (window^2, H, W)."""
+    padded = np.pad(values, window // 2, mode="reflect")
+    height, width = values.shape
+    return np.stack([padded[j : j + height, i : i + width] for j in range(window) for i in range(window)])
 
 
 def _library() -> ctypes.CDLL | None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim_tools.making.blender.assembly import Assembly, assemble
-from gibson_sim_tools.making.blender.denoise import F32, denoise
+from gibson_sim_tools.making.blender.denoise import F32, denoise, is_noise
 from gibson_sim_tools.making.blender.exr import read_exr
 from gibson_sim_tools.making.blender.stage import Stage, new_scene
 from gibson_sim_tools.making.blender.traced_materials import backdrop_world, glass, make_mirror, mesh_material
@@ -29,12 +29,6 @@ from gibson_sim_tools.making.building import Building, Quality, read_plan
 _SENSOR_MM = 36.0
 _LAMP_WATTS = 4.0 * np.pi**2
 """Power of a point lamp that makes a white surface white at 1 m, W."""
-_NOISE_WINDOW_PX = 9
-"""Edge of the window in which the noise is estimated, pixels."""
-_ACCEPTED_SIGMAS = 5.0
-"""Largest change by the denoiser, in standard deviations of the noise."""
-_OUTLIER = 3.0
-"""Distance from the median of its neighbours at which a pixel stands out, relative to that of the denoised pixel."""
 
 
 def main() -> None:
@@ -113,7 +107,7 @@ class TracedScene:
         mean, albedo, normal = (np.asarray((first[k] + second[k]) / 2, dtype=np.float32) for k in ("rgb", "albedo", "normal"))
         spread = np.asarray((first["rgb"] - second["rgb"]) / 2, dtype=np.float32)
         smooth = denoise(mean, albedo=albedo, normal=normal)
-        accepted = _is_noise(mean, smooth, spread)
+        accepted = is_noise(mean, smooth, spread)
         rgb = np.asarray(np.where(accepted[..., None], smooth, mean), dtype=np.float32)
         output = Path(request["output"])
         draft = output.with_suffix(".part.npz")
@@ -127,28 +121,6 @@ class TracedScene:
 
 def _half(values: F32) -> NDArray[np.float16]:
     return np.clip(np.nan_to_num(values), -6e4, 6e4).astype(np.float16)
-
-
-def _is_noise(mean: F32, smooth: F32, spread: F32) -> NDArray[np.bool_]:
-    """Returns where the denoiser removed only noise, (H, W).
-
-    Its change is below the local noise of the mean of two halves, whose half difference is ``spread``, or it removes a single pixel that stands
-    out from its neighbours: a path that is far too bright can be in both halves.
-    """
-    own = (spread**2).mean(axis=2)
-    local = np.mean(_neighbours(own, _NOISE_WINDOW_PX), axis=0)
-    below = ((smooth - mean) ** 2).mean(axis=2) <= _ACCEPTED_SIGMAS**2 * np.maximum(own, local)
-    gray, smooth_gray = mean.mean(axis=2), smooth.mean(axis=2)
-    median = np.median(_neighbours(gray, 3), axis=0)
-    single = np.abs(gray - median) > _OUTLIER * np.abs(smooth_gray - median)
-    return np.asarray(below | single)
-
-
-def _neighbours(values: NDArray[np.floating[Any]], window: int) -> NDArray[np.floating[Any]]:
-    """Returns the values in a square window about each pixel, (window^2, H, W)."""
-    padded = np.pad(values, window // 2, mode="reflect")
-    height, width = values.shape
-    return np.stack([padded[j : j + height, i : i + width] for j in range(window) for i in range(window)])
 
 
 def _building_scene(building: Building, quality: Quality) -> Any:
