@@ -331,6 +331,6 @@ def test_defaults_are_those_that_the_help_names() -> None:
     parser = argparse.ArgumentParser()
     realism.add_parser(parser.add_subparsers(dest="kind"))
     plan = realism.plan_of(parser.parse_args(["realism", "a", "b"]))
-    assert (plan.scenes, plan.poses, plan.seed, plan.width, plan.samples, plan.antialiasing) == (("a", "b"), 12, 0, 320, 128, 4)
+    assert (plan.scenes, plan.poses, plan.seed, plan.width, plan.samples, plan.antialiasing) == (("a", "b"), 12, 0, 320, 128, 1)
     with pytest.raises(ConfigError, match="no scene is given"):
         RealismPlan(())

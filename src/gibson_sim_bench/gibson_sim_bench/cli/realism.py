@@ -28,7 +28,7 @@ def add_parser(kinds: Any) -> None:
     parser.add_argument("--width", type=int, default=320, metavar="PX", help="width of the pictures, 4:3, pixels (default: 320)")
     parser.add_argument("--samples", type=int, default=128, metavar="N", help="traced paths per pixel (default: 128)")
     parser.add_argument(
-        "--antialiasing", type=int, choices=(1, 4), default=4, help="colour samples per pixel of our pictures (default: 4)"
+        "--antialiasing", type=int, choices=(1, 4), default=1, help="colour samples per pixel of our pictures (default: 1)"
     )
     parser.add_argument(
         "--blender-python", default=sys.executable, metavar="FILE", help="Python interpreter that has bpy (default: this one)"

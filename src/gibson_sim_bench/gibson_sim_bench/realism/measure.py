@@ -57,8 +57,8 @@ class RealismPlan:
     """Width of the pictures, pixels; their height is three quarters of it."""
     samples: int = 128
     """Paths per pixel of the traced pictures."""
-    antialiasing: int = 4
-    """Colour samples per pixel of our pictures: 1 or 4."""
+    antialiasing: int = 1
+    """Colour samples per pixel of our pictures: 1, the default of cameras, or 4."""
     blender_python: str = sys.executable
     repeat_truth: bool = False
 
