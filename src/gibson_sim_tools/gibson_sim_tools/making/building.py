@@ -197,26 +197,24 @@ class Quality:
     """Resolution and samples of a bake."""
 
     atlases: int
-    """Number of atlases."""
+    """Number of light maps."""
     size_px: int
-    """Edge of each atlas, pixels; a multiple of 2."""
+    """Edge of each light map, texels."""
     samples: int
-    """Samples per pixel of the light pass."""
+    """Samples per texel of the light."""
     jpeg: int = 85
-    """JPEG quality, 1 to 100."""
+    """JPEG quality of base colours, 1 to 100."""
 
     def __post_init__(self) -> None:
-        if self.atlases < 1 or self.samples < 1 or self.size_px < 64 or self.size_px % 2 or not 1 <= self.jpeg <= 100:
-            raise SceneError(
-                f"quality is {self}; atlases and samples must be at least 1, size_px even and at least 64, jpeg 1 to 100"
-            )
+        if self.atlases < 1 or self.samples < 1 or self.size_px < 64 or not 1 <= self.jpeg <= 100:
+            raise SceneError(f"quality is {self}; atlases and samples must be at least 1, size_px at least 64, jpeg 1 to 100")
 
 
 QUALITIES = {
-    "smallest": Quality(1, 768, 1),
-    "draft": Quality(2, 1024, 8),
-    "normal": Quality(4, 2048, 6, 88),
-    "high": Quality(4, 2048, 32, 90),
+    "smallest": Quality(1, 1024, 1),
+    "draft": Quality(2, 1024, 4),
+    "normal": Quality(2, 1152, 16, 88),
+    "high": Quality(2, 1152, 64, 90),
 }
 
 

@@ -12,10 +12,6 @@ _MIDDLE_GREY = 0.48
 """Linear brightness of a scene's geometric mean before the tone curve."""
 _WHITE_BALANCE = 0.6
 """Fraction of the light's overall tint that white balance removes."""
-_MAX_CLOSED_OPENNESS = 1e-6
-"""Openness up to which a texel is closed."""
-_MIN_RUN = 3
-"""Minimum length of a run of closed texels inside other geometry."""
 _SEARCH_RADIUS = 16
 """Search radius for covered pixels, pixels."""
 _WHITE_POINT = 4.2
@@ -88,30 +84,21 @@ def _overlap(j: int, i: int, shape: tuple[int, ...]) -> tuple[tuple[slice, slice
     return (pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1])
 
 
-def hidden_texels(openness: F32, covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Returns the mask, (H, W), of texels inside other geometry, as on a wall behind its skirting.
+def hidden_texels(inside: NDArray[np.bool_], near: NDArray[np.bool_], covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Returns the mask, (H, W), of texels whose light must not bleed onto visible ones.
 
-    These are runs of texels with zero openness, and their partly hidden neighbours. In corners, single texels are closed by chance, but rarely
-    three in a row.
+    These are all texels inside solids, as on a wall behind its skirting, and those in narrow gaps, as behind a wardrobe, beside texels in the open;
+    deeper in a gap, a camera can see that it is dark.
 
     Args:
-        openness: fraction of directions without near geometry, (H, W), noisy.
+        inside: mask of texels inside solids, (H, W).
+        near: mask of texels with other surfaces closely around them, (H, W).
         covered: mask of surfaces, (H, W).
     """
-    closed = covered & (openness <= _MAX_CLOSED_OPENNESS)
-    runs = np.pad(_long_runs(closed, 0) | _long_runs(closed, 1), 1)
-    has_run_neighbour = runs[:-2, 1:-1] | runs[2:, 1:-1] | runs[1:-1, :-2] | runs[1:-1, 2:]
-    return np.asarray((runs[1:-1, 1:-1] | has_run_neighbour) & covered)
-
-
-def _long_runs(mask: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
-    """Returns the mask of runs of at least ``_MIN_RUN`` pixels along an axis."""
-    width = [(0, 0), (0, 0)]
-    width[axis] = (_MIN_RUN - 1, _MIN_RUN - 1)
-    padded = np.pad(mask, width)
-    length = mask.shape[axis]
-    starts = np.logical_and.reduce([padded.take(range(k, k + length + _MIN_RUN - 1), axis) for k in range(_MIN_RUN)])
-    return np.asarray(np.logical_or.reduce([starts.take(range(k, k + length), axis) for k in range(_MIN_RUN)]))
+    in_the_open = np.pad(covered & ~inside & ~near, 1)
+    height, width = covered.shape
+    beside = np.logical_or.reduce([in_the_open[j : j + height, i : i + width] for j in range(3) for i in range(3)])
+    return np.asarray(covered & (inside | (near & beside)))
 
 
 def _dilated(image: F32, covered: F32) -> tuple[F32, F32]:
@@ -124,18 +111,6 @@ def _dilated(image: F32, covered: F32) -> tuple[F32, F32]:
             total += padded[j : j + height, i : i + width]
             count += mask[j : j + height, i : i + width]
     return np.where(covered > 0, image, total / np.maximum(count, 1)), np.minimum(count, 1.0)
-
-
-def upsample_2x(image: F32) -> F32:
-    """Returns an image, (H, W, C), at twice the size, interpolated linearly between pixel centres."""
-    for axis in (0, 1):
-        previous = np.concatenate([image.take([0], axis), image.take(range(image.shape[axis] - 1), axis)], axis)
-        following = np.concatenate([image.take(range(1, image.shape[axis]), axis), image.take([-1], axis)], axis)
-        pair = np.stack([0.75 * image + 0.25 * previous, 0.75 * image + 0.25 * following], axis + 1)
-        shape = list(image.shape)
-        shape[axis] *= 2
-        image = pair.reshape(shape)
-    return image.astype(np.float32)
 
 
 def exposure_factors(samples: list[F32]) -> F32:

@@ -1,7 +1,7 @@
-"""Writes a finished scene from a bake: meshes, atlases, scene.yaml, licence. Does not need Blender.
+"""Writes a finished scene from a bake: meshes, tiles, light maps, scene.yaml, licence. Does not need Blender.
 
-Meshes are small binary glTF 2.0 files with quantised positions and external textures. The panorama outside the windows (sky, trees, meadow) is
-drawn as a camera exposed for the room sees it.
+Meshes are small binary glTF 2.0 files with quantised positions and external textures: base colours that repeat, and light maps with coordinates of
+their own (``GIBSON_light_map``). The panorama outside the windows (sky, trees, meadow) is drawn as a camera exposed for the room sees it.
 """
 
 from __future__ import annotations
@@ -23,15 +23,22 @@ from gibson_sim.picture_files import write_picture
 from gibson_sim.scenes.scene_yaml import write_scene_yaml
 from gibson_sim.writing import write_file
 from gibson_sim_tools.making.building import Building, Quality
+from gibson_sim_tools.making.light_maps import (
+    dilate_charts,
+    fill_hidden,
+    sample_light,
+    smooth_small_charts,
+    stitch_seams,
+    write_light,
+)
 from gibson_sim_tools.making.pictures import ASSETS, SURROUNDINGS, write_uniform_surroundings
-from gibson_sim_tools.making.pixels import F32, exposure_factors, fill_gaps, tone_map, upsample_2x
+from gibson_sim_tools.making.pixels import F32, exposure_factors, tone_map
+from gibson_sim_tools.making.tiles import Tile, TileName, draw_tile, factors_of, tiles_of
 
 OUTSIDE = "outside.jpg"
 MAX_SCENE_BYTES = 12_000_000
 """Maximum total size of a scene folder."""
 _GLASS_ALPHA = 0.16
-_NARROW_CHART_PX = 22
-"""Width below which the light of a chart is smoothed, pixels."""
 _MIRROR_REFLECTANCE = 0.88
 """Reflectance of mirrors."""
 _ROOM_CLASSES = {"living": "living_room", "meeting": "meeting_room"}
@@ -45,6 +52,12 @@ The scene was made by `{command}`; nothing in it was taken from elsewhere.
 """
 F64 = NDArray[np.float64]
 _MAX_QUANTISED = 65535
+LIGHT_MAP = "GIBSON_light_map"
+"""glTF extension of materials: ``index`` of the texture, ``texCoord``, and ``intensity``, the radiance of the largest code."""
+_SAMPLES = 100_000
+"""Number of points on surfaces whose lit colours determine the exposure."""
+_MAX_RADIANCE = 16.0
+"""Largest radiance of white in a light map, in units of the exposure: brighter surfaces are white."""
 _WIDTH, _HEIGHT = 2048, 1024
 """Size of the panorama, pixels."""
 
@@ -63,17 +76,20 @@ def write_scene_folder(building: Building, quality: Quality, work: Path, folder:
         The median brightness of a white surface in the scene, linear.
 
     Raises:
-        SceneError: an atlas was not baked, or the scene is too large.
+        SceneError: a light map was not baked, or the scene is too large.
     """
     mesh = _load_arrays(work / "mesh.npz")
     assets = folder / ASSETS
     assets.mkdir(parents=True, exist_ok=True)
-    for old in [*assets.glob("*.glb"), *assets.glob("*.jpg"), *assets.glob("*.hdr")]:
+    for old in [file for kind in ("glb", "jpg", "png", "hdr") for file in assets.glob(f"*.{kind}")]:
         old.unlink()
-    white = _write_atlases(mesh, work, assets, sorted({int(k) for k in mesh["atlas"] if k >= 0}), quality)
+    surfaces = _Surfaces(mesh)
+    white, intensity = _write_light_maps(mesh, surfaces, work, assets, quality)
+    for name, tile in zip(surfaces.names, surfaces.tiles, strict=True):
+        _write_image(assets / f"{name.file}.jpg", tile.pixels[::-1], quality.jpeg)
     write_uniform_surroundings(assets / SURROUNDINGS, white)
     _write_image(assets / OUTSIDE, outside_panorama(building.seed), quality.jpeg)
-    objects = _write_objects(mesh, assets)
+    objects = _write_objects(mesh, surfaces, intensity, assets)
     write_scene_yaml(folder, _description(building, objects, command), f"Made by: {command}", width=160)
     write_file(folder / "LICENSE", _LICENSE.format(command=command))
     size = sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
@@ -90,25 +106,68 @@ def _load_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise SceneError(f"{path}: cannot be read: {e}; bake the scene again") from e
 
 
-def _write_atlases(mesh: dict[str, NDArray[Any]], work: Path, assets: Path, atlases: Iterable[int], quality: Quality) -> float:
-    """Writes the atlases; returns the median brightness of a white surface in them, linear."""
-    images = []
-    for k in atlases:
+class _Surfaces:
+    """Tiles and colours of the triangles of a bake."""
+
+    def __init__(self, mesh: dict[str, NDArray[Any]]) -> None:
+        self.names: list[TileName]
+        self.names, self.tile = tiles_of(mesh["patterns"].tolist(), mesh["pattern"], mesh["tint"], mesh["pattern_coords"])
+        """Index of the tile of each triangle, (F,); -1 = none."""
+        self.tiles: list[Tile] = [draw_tile(name) for name in self.names]
+        self.factor = np.asarray(linear_from_srgb(mesh["tint"]))
+        """Linear colour of each triangle, relative to its tile, (F, 3)."""
+        self.color = self.factor.copy()
+        """Mean linear colour of each triangle, (F, 3)."""
+        self.uv = np.zeros((len(self.tile), 3, 2))
+        """Coordinates of the corners in the tile, (F, 3, 2), from the lower left."""
+        for k, (name, tile) in enumerate(zip(self.names, self.tiles, strict=True)):
+            rows = np.flatnonzero(self.tile == k)
+            self.factor[rows] = factors_of(tile, name.pattern, mesh["tint"][rows])
+            self.color[rows] = self.factor[rows] * tile.mean
+            self.uv[rows] = tile.coords(mesh["pattern_coords"][rows])
+
+
+def _write_light_maps(
+    mesh: dict[str, NDArray[Any]], surfaces: _Surfaces, work: Path, assets: Path, quality: Quality
+) -> tuple[float, float]:
+    """Writes light maps and mirrors; returns the median brightness of a lit white surface, linear, and the radiance of the largest code."""
+    lights = []
+    for k in range(int(mesh["atlas"].max()) + 1):
         try:
-            color, light = (np.load(work / f"{pass_name}_{k}.npy").astype(np.float32) for pass_name in ("color", "light"))
+            light = np.load(work / f"light_{k}.npy")
         except (OSError, ValueError) as e:
-            raise SceneError(f"{work}: atlas {k} was not baked: {e}; run the generator again, finished atlases are kept") from e
-        smooth_small_charts(light, mesh["charts"][mesh["charts"][:, 0] == k, 1:] / 2)
-        image = compose(color, light)
-        for uv, reflected in _mirrors(work, k):
-            draw_reflection(image, uv, reflected)
-        sample = np.flatnonzero(color[..., 3] > 0.5)[:: max(1, image[..., 0].size // 50_000)]
-        images.append((k, image, image.reshape(-1, 3)[sample], color[..., :3].reshape(-1, 3)[sample]))
-    exposure = exposure_factors([sampled for _, _, sampled, _ in images])
-    for k, image, _, _ in images:
-        _write_image(assets / f"atlas_{k}.jpg", tone_map(image * exposure)[::-1], quality.jpeg)
-    white = [_white_brightness(linear_from_srgb(tone_map(sampled * exposure) / 255), colors) for _, _, sampled, colors in images]
-    return float(np.median(np.concatenate(white)))
+            raise SceneError(f"{work}: light map {k} was not baked: {e}; run the generator again, finished ones are kept") from e
+        smooth_small_charts(light, mesh["charts"][mesh["charts"][:, 0] == k, 1:])
+        fill_hidden(light)
+        lights.append(light)
+    stitch_seams(lights, *(mesh[name] for name in ("corners", "owner", "atlas", "uv", "charts")))
+    for k, light in enumerate(lights):
+        dilate_charts(light, mesh["charts"][mesh["charts"][:, 0] == k, 1:])
+    light_on_samples, colors = _lit_samples(mesh, surfaces, lights)
+    exposure = exposure_factors([light_on_samples * colors])
+    brightest = max(float((light[..., :3] * exposure).max()) for light in lights)
+    intensity = round(min(brightest, _MAX_RADIANCE), 4)
+    for k, light in enumerate(lights):
+        write_light(assets / f"light_{k}.png", light[..., :3] * exposure, intensity)
+    for number, image in enumerate(_mirrors(work)):
+        _write_image(assets / f"mirror_{number}.jpg", tone_map(_MIRROR_REFLECTANCE * image * exposure)[::-1], quality.jpeg)
+    lit = linear_from_srgb(tone_map(light_on_samples * colors * exposure) / 255)
+    return float(np.median(_white_brightness(lit, colors))), intensity
+
+
+def _lit_samples(mesh: dict[str, NDArray[Any]], surfaces: _Surfaces, lights: Sequence[F32]) -> tuple[F32, F32]:
+    """Returns light and colour, linear, (N, 3) each, of random points, as many on each triangle as it has texels in the light maps."""
+    rng = np.random.default_rng(0)
+    a, b, c = (mesh["uv"][:, k] for k in range(3))
+    texels = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) * (mesh["atlas"] >= 0)
+    rows = rng.choice(len(texels), _SAMPLES, p=texels / texels.sum())
+    weights = rng.dirichlet(np.ones(3), _SAMPLES)
+    uv = np.einsum("nk,nkc->nc", weights, mesh["uv"][rows])
+    light = np.zeros((_SAMPLES, 3), dtype=np.float32)
+    for k, image in enumerate(lights):
+        chosen = mesh["atlas"][rows] == k
+        light[chosen] = sample_light(image, uv[chosen])
+    return light, surfaces.color[rows].astype(np.float32)
 
 
 def _white_brightness(lit: NDArray[np.float64], colors: F32) -> NDArray[np.float64]:
@@ -118,79 +177,25 @@ def _white_brightness(lit: NDArray[np.float64], colors: F32) -> NDArray[np.float
 
 
 def _write_image(path: Path, rgb: NDArray[np.uint8], jpeg: int) -> None:
-    write_picture(path, cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, jpeg))
+    sampling = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+    write_picture(path, cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, jpeg, *sampling))
 
 
-def smooth_small_charts(light: F32, charts: NDArray[np.float64]) -> None:
-    """Smooths the light along narrow charts, which have too few pixels for the denoiser.
-
-    Args:
-        light: light on white, linear, (H, W, 4); the last channel is 1 on surfaces; modified in place.
-        charts: lower corner and size of each chart, (C, 4), pixels.
-    """
-    for x, y, width, height in charts:
-        if min(width, height) >= _NARROW_CHART_PX:
-            continue
-        rows = slice(math.floor(y), math.ceil(y + height))
-        columns = slice(math.floor(x), math.ceil(x + width))
-        region = light[rows, columns]
-        known = (region[..., 3:] > 0.5).astype(np.float32)
-        sigma_across, sigma_along = min(1.2, min(width, height) / 6), 4.0
-        sigma_x, sigma_y = (sigma_along, sigma_across) if width >= height else (sigma_across, sigma_along)
-        blurred = cv2.GaussianBlur(
-            np.concatenate([region[..., :3] * known, known], axis=2), (0, 0), sigma_x, None, sigma_y, cv2.BORDER_CONSTANT
-        )
-        region[..., :3] = np.where(known > 0, blurred[..., :3] / np.maximum(blurred[..., 3:], 1e-3), region[..., :3])
-
-
-def _mirrors(work: Path, atlas: int) -> Iterable[tuple[NDArray[np.float64], F32]]:
-    """Yields the corners, (4, 2), and the reflection, (h, w, 3), of each mirror in an atlas."""
+def _mirrors(work: Path) -> Iterable[F32]:
+    """Yields the reflection of each mirror, (h, w, 3), linear, row 0 at the bottom."""
     content = _load_arrays(work / "mirrors.npz")
-    for name in content:
-        number = name.removeprefix("image_")
-        if name != number and int(content[f"atlas_{number}"]) == atlas:
-            yield content[f"uv_{number}"], content[name].astype(np.float32)
+    for number in range(len(content)):
+        yield content[f"image_{number}"].astype(np.float32)
 
 
-def draw_reflection(image: F32, uv: NDArray[np.float64], reflection: F32) -> None:
-    """Draws the reflection of a mirror into its atlas.
-
-    Args:
-        image: lit colours, linear, (H, W, 3), row 0 at the bottom; modified in place.
-        uv: lower left, lower right, upper right, upper left corner of the mirror, (4, 2), 0 to 1.
-        reflection: linear colours, (h, w, 3), row 0 at the bottom.
-    """
-    height, width = image.shape[:2]
-    corners = uv * [width, height]
-    low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
-    high = np.ceil(corners.max(axis=0)).astype(int) + 1
-    x, y = np.meshgrid(np.arange(low[0], min(high[0], width)), np.arange(low[1], min(high[1], height)))
-    axes = np.stack([corners[1] - corners[0], corners[3] - corners[0]], axis=1)
-    uv_in_mirror = (np.stack([x + 0.5, y + 0.5], axis=-1) - corners[0]) @ np.linalg.inv(axes).T
-    columns = np.clip(uv_in_mirror[..., 0] * reflection.shape[1], 0, reflection.shape[1] - 1).astype(int)
-    rows = np.clip(uv_in_mirror[..., 1] * reflection.shape[0], 0, reflection.shape[0] - 1).astype(int)
-    image[y, x] = _MIRROR_REFLECTANCE * reflection[rows, columns]
-
-
-def compose(color: F32, light: F32) -> F32:
-    """Multiplies colours by light; returns lit colours, (H, W, 3), linear.
-
-    Args:
-        color: linear colours, (H, W, 4); the last channel is 1 on surfaces.
-        light: light on white, linear, (H / 2, W / 2, 4).
-    """
-    filled = fill_gaps(color[..., :3], color[..., 3] > 0.5)
-    return np.asarray(filled * upsample_2x(np.maximum(light[..., :3], 0.0)), dtype=np.float32)
-
-
-def _write_objects(mesh: dict[str, NDArray[Any]], assets: Path) -> list[dict[str, Any]]:
+def _write_objects(mesh: dict[str, NDArray[Any]], surfaces: _Surfaces, intensity: float, assets: Path) -> list[dict[str, Any]]:
     """Writes the mesh and the collision shapes of each object; returns the entries for scene.yaml."""
     objects = []
     for number, name in enumerate(mesh["names"].tolist()):
         rows = np.flatnonzero(mesh["owner"] == number)
         if not mesh["exported"][number] or not len(rows):
             continue
-        write_glb(assets / f"{name}.glb", list(_patches(mesh, rows)))
+        write_glb(assets / f"{name}.glb", list(_patches(mesh, surfaces, intensity, rows)))
         boxes = mesh["boxes"][mesh["box_owner"] == number]
         entry: dict[str, Any] = {"name": name, "mesh": f"{ASSETS}/{name}.glb", "semantic_class": mesh["classes"].tolist()[number]}
         if len(boxes):
@@ -202,19 +207,36 @@ def _write_objects(mesh: dict[str, NDArray[Any]], assets: Path) -> list[dict[str
     return objects
 
 
-def _patches(mesh: dict[str, NDArray[Any]], object_rows: NDArray[np.int64]) -> Iterable[Patch]:
-    atlas = mesh["atlas"][object_rows]
-    for k in sorted(set(atlas.tolist())):
-        rows = object_rows[atlas == k]
-        if k >= 0:
-            yield Patch(BakedMaterial(f"atlas_{k}.jpg"), mesh["corners"][rows].astype(float), mesh["uv"][rows].astype(float))
+def _patches(
+    mesh: dict[str, NDArray[Any]], surfaces: _Surfaces, intensity: float, object_rows: NDArray[np.int64]
+) -> Iterable[Patch]:
+    patterns = mesh["patterns"].tolist()
+    keys = np.column_stack([mesh["atlas"][object_rows], surfaces.tile[object_rows]])
+    for atlas, tile in np.unique(keys, axis=0).tolist():
+        rows = object_rows[(keys == (atlas, tile)).all(axis=1)]
+        if atlas >= 0:
+            material = BakedMaterial(f"{surfaces.names[tile].file}.jpg", light=f"light_{atlas}.png", intensity=intensity)
+            yield Patch(material, mesh["corners"][rows].astype(float), surfaces.uv[rows], mesh["uv"][rows], surfaces.factor[rows])
             continue
         appearances = np.column_stack([mesh["tint"][rows], mesh["pattern"][rows]])
         for appearance in np.unique(appearances, axis=0):
-            rows_of_appearance = rows[(appearances == appearance).all(axis=1)]
-            glass = mesh["patterns"].tolist()[int(appearance[3])] == "glass"
-            color = (float(appearance[0]), float(appearance[1]), float(appearance[2]), _GLASS_ALPHA if glass else 1.0)
-            yield Patch(BakedMaterial(color=color), mesh["corners"][rows_of_appearance].astype(float))
+            plain_rows = rows[(appearances == appearance).all(axis=1)]
+            corners = mesh["corners"][plain_rows].astype(float)
+            pattern = patterns[int(appearance[3])]
+            if pattern == "mirror":
+                yield from _mirror_patches(mesh, plain_rows, patterns.index("mirror"))
+                continue
+            alpha = _GLASS_ALPHA if pattern == "glass" else 1.0
+            yield Patch(BakedMaterial(color=(float(appearance[0]), float(appearance[1]), float(appearance[2]), alpha)), corners)
+
+
+def _mirror_patches(mesh: dict[str, NDArray[Any]], rows: NDArray[np.int64], pattern: int) -> Iterable[Patch]:
+    """Yields a patch for each mirror, which consists of two triangles that start at the lower left."""
+    numbers = np.flatnonzero(mesh["pattern"] == pattern).tolist()
+    square = np.array([[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]], dtype=float)
+    for first, second in rows.reshape(-1, 2).tolist():
+        material = BakedMaterial(f"mirror_{numbers.index(first) // 2}.jpg")
+        yield Patch(material, mesh["corners"][[first, second]].astype(float), square)
 
 
 def _description(building: Building, objects: list[dict[str, Any]], command: str) -> dict[str, Any]:
@@ -276,9 +298,13 @@ class BakedMaterial:
     """A material with baked light."""
 
     texture: str = ""
-    """File name, beside the mesh; empty = plain colour."""
+    """File name, beside the mesh, of the base colour, which is repeated; empty = plain colour."""
     color: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     """sRGB colour and opacity, 0 to 1."""
+    light: str = ""
+    """File name of the light map; empty = the colours include the light."""
+    intensity: float = 1.0
+    """Radiance of the largest code in the light map."""
 
 
 @dataclass(frozen=True)
@@ -289,31 +315,57 @@ class Patch:
     corners: F64
     """Corners, (F, 3, 3), m, z up."""
     uv: F64 | None = None
-    """Texture coordinates, (F, 3, 2), 0 to 1 from the lower left; None without a texture."""
+    """Texture coordinates, (F, 3, 2), from the lower left; None without a texture."""
+    light_uv: F64 | None = None
+    """Coordinates in the light map, (F, 3, 2), 0 to 1 from the lower left; None without a light map."""
+    factor: F64 | None = None
+    """Linear colour by which the texture is multiplied, (F, 3), 0 to 1; None = 1."""
 
 
 def write_glb(path: Path, patches: Sequence[Patch]) -> None:
-    """Writes an object; corners with equal position and texture coordinates share a vertex."""
+    """Writes an object; corners with equal values of all attributes share a vertex."""
     all_corners = np.concatenate([p.corners.reshape(-1, 3) for p in patches])
     low, size = all_corners.min(axis=0), np.maximum(np.ptp(all_corners, axis=0), 1e-4)
     builder = GlbBuilder()
     builder.require("KHR_mesh_quantization")
     for patch in patches:
-        columns = [np.round((patch.corners.reshape(-1, 3) - low) / size * _MAX_QUANTISED).astype(np.uint16)]
+        columns: dict[str, NDArray[Any]] = {
+            "POSITION": np.round((patch.corners.reshape(-1, 3) - low) / size * _MAX_QUANTISED).astype(np.uint16)
+        }
         if patch.uv is not None:
-            flipped = patch.uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]
-            columns.append(np.round(np.clip(flipped, 0, 1) * _MAX_QUANTISED).astype(np.uint16))
-        rows, index = np.unique(np.concatenate(columns, axis=1), axis=0, return_inverse=True)
+            columns["TEXCOORD_0"] = _from_upper_left(patch.uv).astype(np.float32)
+        if patch.light_uv is not None:
+            columns["TEXCOORD_1"] = _codes(_from_upper_left(patch.light_uv))
+        if patch.factor is not None and (patch.factor < 1.0).any():
+            columns["COLOR_0"] = _codes(np.repeat(patch.factor, 3, axis=0))
+        table = np.concatenate([values.astype(np.float64) for values in columns.values()], axis=1)
+        _, first, index = np.unique(table, axis=0, return_index=True, return_inverse=True)
         triangles = np.asarray(index).reshape(-1, 3)
         triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
-        attributes = {"POSITION": builder.attribute(rows[:, :3], "u2", bounds=True)}
-        if patch.uv is not None:
-            attributes["TEXCOORD_0"] = builder.attribute(rows[:, 3:], "u2", normalized=True)
+        attributes = {
+            name: builder.attribute(
+                values[first],
+                values.dtype.str[1:],
+                normalized=values.dtype == np.uint16 and name != "POSITION",
+                bounds=name == "POSITION",
+            )
+            for name, values in columns.items()
+        }
         indices = builder.indices(triangles, "u2" if not len(triangles) or triangles.max() < _MAX_QUANTISED else "u4")
         builder.primitive(attributes, indices, builder.material(_material(patch.material, builder)))
     # Quantised positions range from 0 to 65535 along the axes of the z-up frame.
     T_zup_quantised = np.block([[np.diag(size / _MAX_QUANTISED), low[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
     write_file(path, builder.to_bytes(path.stem, Z_UP_TO_Y_UP @ T_zup_quantised), durable=False)
+
+
+def _from_upper_left(uv: F64) -> F64:
+    """Converts texture coordinates, (F, 3, 2), to those of glTF, (3 F, 2)."""
+    return np.asarray(uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0])
+
+
+def _codes(values: F64) -> NDArray[np.uint16]:
+    """Returns values from 0 to 1 as normalised integers."""
+    return np.round(np.clip(values, 0, 1) * _MAX_QUANTISED).astype(np.uint16)
 
 
 def write_boxes(path: Path, boxes: ArrayLike) -> None:
@@ -334,7 +386,10 @@ def _material(material: BakedMaterial, builder: GlbBuilder) -> dict[str, Any]:
     }
     if material.texture:
         pbr["baseColorTexture"] = {"index": builder.texture_file(material.texture)}
-    gltf_material: dict[str, Any] = {"pbrMetallicRoughness": pbr, "doubleSided": True, "extensions": {"KHR_materials_unlit": {}}}
+    extensions: dict[str, Any] = {"KHR_materials_unlit": {}}
+    if material.light:
+        extensions[LIGHT_MAP] = {"index": builder.texture_file(material.light), "texCoord": 1, "intensity": material.intensity}
+    gltf_material: dict[str, Any] = {"pbrMetallicRoughness": pbr, "doubleSided": True, "extensions": extensions}
     if material.color[3] < 1.0:
         gltf_material["alphaMode"] = "BLEND"
     return gltf_material

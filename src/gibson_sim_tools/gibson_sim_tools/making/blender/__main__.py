@@ -21,14 +21,14 @@ from gibson_sim_tools.making.blender.bake import BakedStage
 from gibson_sim_tools.making.blender.denoise import denoise
 from gibson_sim_tools.making.blender.mirrors import mirrors_of, reflection
 from gibson_sim_tools.making.building import Quality, read_plan
-from gibson_sim_tools.making.pixels import fill_gaps_mirrored, hidden_texels
+from gibson_sim_tools.making.pixels import fill_gaps_mirrored
 
-_COLOR_COST = 4.0
-"""Cost of the colour pass, in samples of the light pass."""
+_LAST_FACTOR = 1.5
+"""Factor of the samples of the last light map."""
 
 
 def main() -> None:
-    """Builds the building and bakes the missing atlases."""
+    """Builds the building and bakes the missing light maps."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("plan", type=Path)
     parser.add_argument("work", type=Path)
@@ -47,47 +47,36 @@ def _build_and_bake(plan: Path, work: Path) -> None:
     if not mesh.exists():
         assembly.save(work / "mesh.part.npz")
         os.replace(work / "mesh.part.npz", mesh)
-    _report_progress(f"{len(assembly.owner)} triangles, {assembly.density:.0f} pixels per metre", 0.02)
-    atlases = sorted({int(a) for a in assembly.atlas if a >= 0})
-    missing = [
-        (k, pass_name) for pass_name in ("color", "light") for k in atlases if not (work / f"{pass_name}_{k}.npy").exists()
-    ]
+    _report_progress(f"{len(assembly.owner)} triangles, {assembly.density:.0f} texels per metre", 0.02)
+    missing = [k for k in sorted({int(a) for a in assembly.atlas if a >= 0}) if not (work / f"light_{k}.npy").exists()]
     mirrors = work / "mirrors.npz"
     if missing or not mirrors.exists():
-        stage = BakedStage(building, assembly, quality.samples)
+        stage = BakedStage(building, assembly, quality.size_px)
         _bake_all(stage, quality, missing, work)
         if not mirrors.exists():
             _render_mirrors(assembly, quality, mirrors)
     _report_progress("baked", 1.0)
 
 
-def _bake_all(stage: BakedStage, quality: Quality, missing: list[tuple[int, str]], work: Path) -> None:
-    # The last atlas has the smallest charts, with the fewest pixels for the denoiser.
-    factors = np.linspace(1.0, 2.0, quality.atlases) if quality.atlases > 1 else np.ones(1)
-    costs = [_COLOR_COST if pass_name == "color" else quality.samples * factors[k] for k, pass_name in missing]
-    done = 0.0
-    for (atlas, pass_name), cost in zip(missing, costs, strict=True):
-        _report_progress(f"{pass_name} of atlas {atlas + 1} of {quality.atlases}", 0.02 + 0.96 * done / sum(costs))
-        size_px = quality.size_px
-        image = stage.color(atlas, size_px) if pass_name == "color" else stage.light(atlas, size_px // 2, float(factors[atlas]))
+def _bake_all(stage: BakedStage, quality: Quality, missing: list[int], work: Path) -> None:
+    for done, atlas in enumerate(missing):
+        _report_progress(f"light map {atlas + 1} of {quality.atlases}", 0.02 + 0.96 * done / len(missing))
+        # The last light map has the smallest charts, with the fewest texels for the denoiser.
+        is_last = atlas == quality.atlases - 1 > 0
+        image = stage.light(atlas, round(quality.samples * (_LAST_FACTOR if is_last else 1.0)))
         covered = image[..., 3] > 0.5
-        if pass_name == "light":
-            # Texels inside other geometry are dark and must not bleed onto visible ones.
-            covered &= ~hidden_texels(stage.openness(atlas, size_px // 2), covered)
-            image[..., :3] = denoise(fill_gaps_mirrored(image[..., :3], covered))
-        part = work / f"{pass_name}_{atlas}.part.npy"
-        np.save(part, np.concatenate([image[..., :3], covered[..., None]], axis=-1).astype(np.float16))
-        os.replace(part, work / f"{pass_name}_{atlas}.npy")
-        done += cost
+        image[..., :3] = denoise(fill_gaps_mirrored(image[..., :3], covered))
+        part = work / f"light_{atlas}.part.npy"
+        np.save(part, np.concatenate([image[..., :3], covered[..., None]], axis=-1).astype(np.float32))
+        os.replace(part, work / f"light_{atlas}.npy")
 
 
 def _render_mirrors(assembly: Assembly, quality: Quality, path: Path) -> None:
-    """Writes the reflection of each mirror, the index of its atlas, and its corners in the atlas."""
+    """Writes the reflection of each mirror."""
     _report_progress("mirrors", 0.98)
     rows: dict[str, Any] = {}
     for number, mirror in enumerate(mirrors_of(assembly)):
-        rows[f"image_{number}"] = reflection(mirror, 2 * quality.samples).astype(np.float16)
-        rows[f"uv_{number}"], rows[f"atlas_{number}"] = mirror.uv, mirror.atlas
+        rows[f"image_{number}"] = reflection(mirror, 4 * quality.samples).astype(np.float16)
     part = path.with_suffix(".part.npz")
     np.savez_compressed(part, **rows)
     os.replace(part, path)

@@ -1,4 +1,4 @@
-"""Maps material names to a pattern and a colour. NumPy only; ``materials`` builds the patterns."""
+"""Maps material names to a pattern and a colour. NumPy only; ``tiles`` draws the patterns."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ APPEARANCES: dict[str, tuple[str, Tint]] = {
     "art": ("art", (0.80, 0.72, 0.60)),
     "linen": ("fabric", (0.90, 0.89, 0.86)),
     "glow": ("glow", (1.0, 0.95, 0.86)),
-    "outside": ("plain", (0.84, 0.82, 0.78)),
+    "outside": ("outside", (0.84, 0.82, 0.78)),
 }
 _PRINTED_HUES = (0.0, 0.02, 0.05, 0.08, 0.11, 0.13, 0.3, 0.42, 0.52, 0.57, 0.6, 0.62)
-UNTEXTURED = ("glass", "glow")
-"""Patterns of a single colour, which need no space in an atlas."""
+UNTILED = ("glass", "glow", "mirror", "outside")
+"""Patterns of a single colour without a light map; a mirror has a picture of its own."""
 
 
 def surface_of(name: str, tint: Tint | None = None, importance: float = 1.0) -> Surface:

@@ -1,4 +1,4 @@
-"""Assembles a building: a table of triangles with patterns and atlas coordinates. NumPy only.
+"""Assembles a building: a table of triangles with patterns and coordinates in the light maps. NumPy only.
 
 Boxes that are not part of the scene cast the shadows of large movable bodies in the bake.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.making.blender.appearances import UNTEXTURED
+from gibson_sim_tools.making.blender.appearances import UNTILED
 from gibson_sim_tools.making.blender.charts import chart_extents, place_charts, place_corners
 from gibson_sim_tools.making.blender.furniture import build_piece
 from gibson_sim_tools.making.blender.shapes import F64, I64, ObjectBuilder, Surface, pose_matrix
@@ -20,6 +20,8 @@ from gibson_sim_tools.making.building import Body, Building
 from gibson_sim_tools.making.catalogue import CATALOGUE
 
 NO_ATLAS = -1
+_LARGE_CHART_M, _SMALL_CHART_FACTOR = 0.6, 1.5
+"""Longest side from which a chart has the usual texel density, m, and the factor of the density of the smallest charts."""
 _Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 _CASTERS: dict[str, tuple[_Box, ...]] = {
     "fridge_body": (((-0.34, -0.3, 0.02), (0.31, 0.3, 1.78)),),
@@ -58,26 +60,28 @@ class Assembly:
     tint: F64
     """Colour of each triangle, (F, 3), sRGB."""
     pattern_coords: F64
-    """Pattern coordinates of the corners, (F, 3, 3), m."""
+    """Pattern coordinates of the corners, m, and the number of a single picture, (F, 3, 3)."""
+    thin: NDArray[np.bool_]
+    """Whether each triangle is part of a sheet, (F,)."""
     atlas: I64
-    """Index of the atlas of each triangle, or ``NO_ATLAS``, (F,)."""
+    """Index of the light map of each triangle, or ``NO_ATLAS``, (F,)."""
     uv: F64
-    """Atlas coordinates of the corners, (F, 3, 2), 0 to 1 from the lower left."""
+    """Coordinates of the corners in the light map, (F, 3, 2), 0 to 1 from the lower left."""
     boxes: F64
     """Lower and upper corners of the collision boxes, (B, 2, 3), m, world frame."""
     box_owner: I64
     """Index of the object of each collision box, (B,)."""
-    charts: F64
-    """Index of the atlas, lower corner and size (pixels) of each chart, (C, 5)."""
+    charts: I64
+    """Index of the light map, column and row of the lower left texel, columns and rows of each chart, (C, 5)."""
     density: float
-    """Texel density, pixels per metre."""
+    """Density of the light maps, texels per metre."""
 
     def save(self, path: Path) -> None:
-        """Writes everything except the pattern coordinates, for a process without Blender."""
+        """Writes everything, for a process without Blender."""
         np.savez_compressed(
             path, names=self.names, classes=self.classes, exported=self.exported, corners=self.corners.astype(np.float32),
-            owner=self.owner, tint=self.tint.astype(np.float32), atlas=self.atlas, uv=self.uv.astype(np.float32),
-            boxes=self.boxes, box_owner=self.box_owner, patterns=self.patterns, pattern=self.pattern, charts=self.charts,
+            owner=self.owner, tint=self.tint, pattern_coords=self.pattern_coords, atlas=self.atlas, uv=self.uv, boxes=self.boxes,
+            box_owner=self.box_owner, patterns=self.patterns, pattern=self.pattern, charts=self.charts,
         )  # fmt: skip
 
 
@@ -105,10 +109,10 @@ def _rotated_box_bounds(matrix: F64, low: F64, high: F64) -> tuple[F64, F64]:
 
 
 def assemble(building: Building, atlases: int, size_px: int) -> Assembly:
-    """Models a building and places its triangles in atlases."""
+    """Models a building and places its triangles in light maps. ``size_px``: edge of each, texels."""
     objects = objects_of(building)
     rows: dict[str, list[NDArray[np.generic]]] = {
-        k: [] for k in ("corners", "owner", "pattern", "tint", "pattern_coords", "uv", "chart", "importance")
+        k: [] for k in ("corners", "owner", "pattern", "tint", "pattern_coords", "thin", "uv", "chart", "importance")
     }
     patterns: list[str] = []
     charts = 0
@@ -123,37 +127,40 @@ def assemble(building: Building, atlases: int, size_px: int) -> Assembly:
             rows["pattern"].append(np.full(count, patterns.index(part.surface.material)))
             rows["tint"].append(np.tile(part.surface.tint, (count, 1)))
             rows["pattern_coords"].append(part.pattern)
+            rows["thin"].append(np.full(count, part.thin))
             rows["uv"].append(part.uv)
             rows["chart"].append(np.asarray(chart).reshape(-1) + charts)
             rows["importance"].append(part.importance)
             charts += int(chart.max()) + 1
     table = {k: np.concatenate(v) for k, v in rows.items()}
-    untextured = [patterns.index(p) for p in (*UNTEXTURED, "outside") if p in patterns]
+    untiled = [patterns.index(p) for p in UNTILED if p in patterns]
     is_blocker = np.array([not t.exported for t in objects])[table["owner"]]
-    textured = ~np.isin(table["pattern"], untextured) & ~is_blocker
-    atlas, uv, placed_charts, density = _place_in_atlases(table, textured, atlases, size_px)
+    is_lit = ~np.isin(table["pattern"], untiled) & ~is_blocker
+    atlas, uv, placed_charts, density = _place_in_atlases(table, is_lit, atlases, size_px)
     boxes = [(low, high) for t in objects for low, high in t.solid.boxes]
     return Assembly(
         [t.name for t in objects], [t.semantic_class for t in objects], [t.exported for t in objects], patterns,
-        table["corners"], table["owner"], table["pattern"], table["tint"], table["pattern_coords"], atlas, uv,
+        table["corners"], table["owner"], table["pattern"], table["tint"], table["pattern_coords"], table["thin"], atlas, uv,
         np.array(boxes), np.array([k for k, t in enumerate(objects) for _ in t.solid.boxes]), placed_charts, density,
     )  # fmt: skip
 
 
 def _place_in_atlases(
-    table: dict[str, NDArray[np.generic]], textured: NDArray[np.bool_], atlases: int, size_px: int
-) -> tuple[I64, F64, F64, float]:
-    chart = np.asarray(np.unique(table["chart"][textured], return_inverse=True)[1]).reshape(-1)
+    table: dict[str, NDArray[np.generic]], is_lit: NDArray[np.bool_], atlases: int, size_px: int
+) -> tuple[I64, F64, I64, float]:
+    chart = np.asarray(np.unique(table["chart"][is_lit], return_inverse=True)[1]).reshape(-1)
     count = int(chart.max()) + 1
-    uv_m = np.asarray(table["uv"][textured], dtype=float)
+    uv_m = np.asarray(table["uv"][is_lit], dtype=float)
     low, size = chart_extents(uv_m, chart, count)
     importance = np.zeros(count)
-    np.maximum.at(importance, chart, np.asarray(table["importance"][textured], dtype=float))
+    np.maximum.at(importance, chart, np.asarray(table["importance"][is_lit], dtype=float))
+    # Light changes quickly on small things.
+    importance *= np.clip(np.sqrt(_LARGE_CHART_M / np.maximum(size.max(axis=1), 1e-3)), 1.0, _SMALL_CHART_FACTOR)
     placement = place_charts(size, importance, atlases, size_px)
-    atlas = np.full(len(textured), NO_ATLAS)
-    atlas[textured] = placement.atlas[chart]
-    uv = np.zeros((len(textured), 3, 2))
-    uv[textured] = place_corners(uv_m, chart, low, size, placement, size_px)
+    atlas = np.full(len(is_lit), NO_ATLAS)
+    atlas[is_lit] = placement.atlas[chart]
+    uv = np.zeros((len(is_lit), 3, 2))
+    uv[is_lit] = place_corners(uv_m, chart, low, size, placement, size_px)
     charts = np.column_stack([placement.atlas, placement.low_px, placement.size_px])
     return atlas, uv, charts, placement.density
 

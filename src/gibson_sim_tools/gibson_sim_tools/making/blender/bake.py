@@ -1,4 +1,4 @@
-"""Bakes the atlases of a building with Cycles: colours, and light at half the texel density."""
+"""Bakes the light maps of a building with Cycles: the light on white diffuse surfaces."""
 
 from __future__ import annotations
 
@@ -6,52 +6,89 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.making.blender.assembly import Assembly
-from gibson_sim_tools.making.blender.stage import Stage
+from gibson_sim_tools.making.blender.assembly import NO_ATLAS, Assembly
+from gibson_sim_tools.making.blender.charts import outset_corners
+from gibson_sim_tools.making.blender.materials import probe_material
+from gibson_sim_tools.making.blender.stage import Stage, surfaces_of
 from gibson_sim_tools.making.building import Building
+from gibson_sim_tools.making.pixels import hidden_texels
 
 F32 = NDArray[np.float32]
-_COLOR_SAMPLES, _OPENNESS_SAMPLES = 3, 4
-_OCCLUSION_DISTANCE_M = 0.02
-"""Distance within which geometry occludes a surface, m."""
+_PROBE_SAMPLES = 8
+_HIDDEN = 0.8
+"""Share of views of the inner sides of solids, or of near surfaces, from which a texel is hidden."""
+_NEAR_M = 0.05
+"""Distance up to which a surface is near, m."""
 
 
 class BakedStage(Stage):
-    """A stage whose atlases can be baked. ``samples``: samples of the light pass."""
+    """A stage whose light maps can be baked.
 
-    def __init__(self, building: Building, assembly: Assembly, samples: int) -> None:
+    Args:
+        building: its lights.
+        assembly: its triangles.
+        size_px: edge of each light map, texels.
+    """
+
+    def __init__(self, building: Building, assembly: Assembly, size_px: int) -> None:
         super().__init__(building, assembly)
-        self._samples = samples
+        self._size_px = size_px
+        for atlas, mesh_object in self.objects.items():
+            mesh, rows = mesh_object.data, surfaces_of(assembly, atlas)
+            thin = mesh.attributes.new("thin", "FLOAT", "FACE")
+            thin.data.foreach_set("value", assembly.thin[rows].astype(np.float32))
+            if atlas != NO_ATLAS:
+                uv = outset_corners(assembly.uv[rows], assembly.charts, atlas, size_px)
+                mesh.uv_layers.new(name="light").uv.foreach_set("vector", uv.astype(np.float32).ravel())
 
-    def color(self, atlas: int, size_px: int) -> F32:
-        """Bakes linear colours, (H, W, 4), row 0 at the bottom; the last channel is 1 on surfaces."""
-        return self._bake(atlas, size_px, {"COLOR"}, _COLOR_SAMPLES)
+    def light(self, atlas: int, samples: int) -> F32:
+        """Bakes the light on white of the visible surfaces, (H, W, 4), linear, row 0 at the bottom.
 
-    def light(self, atlas: int, size_px: int, factor: float = 1.0) -> F32:
-        """Bakes light on white, (H, W, 4), linear, row 0 at the bottom. ``factor``: multiple of the usual number of samples."""
-        return self._bake(atlas, size_px, {"DIRECT", "INDIRECT"}, round(self._samples * factor))
+        The last channel is 1 where a texel shows a surface that does not lie inside a solid, as a wall behind its skirting does. A texel that is
+        partly inside has the light of its visible part.
+        """
+        image = self._bake(atlas, samples, [target for _, target in self.materials.values()])
+        inside, near = self._probe(atlas)
+        image[..., :3] /= np.maximum(1.0 - inside, 1.0 - _HIDDEN)[..., None]
+        image[..., 3] *= ~hidden_texels(inside >= _HIDDEN, near >= _HIDDEN, image[..., 3] > 0.5)
+        return image
 
-    def openness(self, atlas: int, size_px: int) -> F32:
-        """Bakes ambient occlusion, (H, W): fraction of directions without near geometry; row 0 at the bottom."""
-        self.scene.world.light_settings.distance = _OCCLUSION_DISTANCE_M
-        return self._bake(atlas, size_px, None, _OPENNESS_SAMPLES)[..., 0]
+    def _probe(self, atlas: int) -> tuple[F32, F32]:
+        """Returns the share of views of the inner sides of solids from each texel, (H, W), and that of views of near surfaces."""
+        material, target = probe_material(_NEAR_M)
+        lights = [item for item in self.scene.objects if item.type == "LIGHT"]
+        materials = [(item.data, list(item.data.materials)) for item in self.objects.values()]
+        cycles = self.scene.cycles
+        bounces = cycles.max_bounces, cycles.diffuse_bounces
+        cycles.max_bounces = cycles.diffuse_bounces = 1
+        for light in lights:
+            light.hide_render = True
+        for mesh, slots in materials:
+            for k in range(len(slots)):
+                mesh.materials[k] = material
+        image = self._bake(atlas, _PROBE_SAMPLES, [target])
+        for mesh, slots in materials:
+            for k, slot in enumerate(slots):
+                mesh.materials[k] = slot
+        for light in lights:
+            light.hide_render = False
+        cycles.max_bounces, cycles.diffuse_bounces = bounces
+        bpy.data.materials.remove(material)
+        return np.clip(image[..., 0], 0.0, 1.0), np.clip(image[..., 1], 0.0, 1.0)
 
-    def _bake(self, atlas: int, size_px: int, passes: set[str] | None, samples: int) -> F32:
-        """Bakes passes of the diffuse component; ``passes`` None = ambient occlusion."""
-        image = bpy.data.images.new("bake", size_px, size_px, float_buffer=True, alpha=True)
+    def _bake(self, atlas: int, samples: int, targets: list[object]) -> F32:
+        """Bakes the diffuse light on an object, without its colour, (H, W, 4); the last channel is 1 on surfaces."""
+        image = bpy.data.images.new("bake", self._size_px, self._size_px, float_buffer=True, alpha=True)
         image.generated_color = (0.0, 0.0, 0.0, 0.0)
-        for _, target in self.materials.values():
-            target.image = image
+        for target in targets:
+            target.image = image  # type: ignore[attr-defined]
         self.scene.cycles.samples = samples
         bpy.ops.object.select_all(action="DESELECT")
-        target_object = self.objects[atlas]
-        target_object.select_set(True)
-        bpy.context.view_layer.objects.active = target_object
-        if passes is None:
-            bpy.ops.object.bake(type="AO", margin=0, use_clear=True)
-        else:
-            bpy.ops.object.bake(type="DIFFUSE", pass_filter=passes, margin=0, use_clear=True)
-        pixels = np.empty(size_px * size_px * 4, dtype=np.float32)
+        baked = self.objects[atlas]
+        baked.select_set(True)
+        bpy.context.view_layer.objects.active = baked
+        bpy.ops.object.bake(type="DIFFUSE", pass_filter={"DIRECT", "INDIRECT"}, margin=0, use_clear=True)
+        pixels = np.empty(self._size_px * self._size_px * 4, dtype=np.float32)
         image.pixels.foreach_get(pixels)
         bpy.data.images.remove(image)
-        return pixels.reshape(size_px, size_px, 4)
+        return pixels.reshape(self._size_px, self._size_px, 4)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,34 +22,20 @@ _SKY_RADIANCE = 3.0
 """Radiance of the sky behind windows."""
 
 
-@dataclass(frozen=True)
-class Mirror:
-    """A rectangular mirror."""
+def mirrors_of(assembly: Assembly) -> list[F64]:
+    """Returns the mirrors of a building: lower left, lower right, upper right, upper left corner, seen from the front, (4, 3), m, world frame.
 
-    corners: F64
-    """Lower left, lower right, upper right, upper left corner, seen from the front, (4, 3), m, world frame."""
-    uv: F64
-    """Atlas coordinates of the corners, (4, 2), 0 to 1."""
-    atlas: int
-    """Index of the atlas."""
-
-
-def mirrors_of(assembly: Assembly) -> list[Mirror]:
-    """Returns the mirrors of a building; each consists of two triangles that start at the lower left."""
+    Each consists of two triangles that start at the lower left.
+    """
     if "mirror" not in assembly.patterns:
         return []
-    rows = np.flatnonzero(assembly.pattern == assembly.patterns.index("mirror"))
-    mirrors = []
-    for first, second in rows.reshape(-1, 2):
-        corners = np.concatenate([assembly.corners[first], assembly.corners[second][2:]])
-        uv = np.concatenate([assembly.uv[first], assembly.uv[second][2:]])
-        mirrors.append(Mirror(corners, uv, int(assembly.atlas[first])))
-    return mirrors
+    pairs = assembly.corners[assembly.pattern == assembly.patterns.index("mirror")].reshape(-1, 2, 3, 3)
+    return [np.concatenate([first, second[2:]]) for first, second in pairs]
 
 
-def reflection(mirror: Mirror, samples: int) -> F32:
-    """Renders the reflection in a mirror, (H, W, 3) linear, row 0 at the bottom, in the scene of the ``Stage``."""
-    right, up = mirror.corners[1] - mirror.corners[0], mirror.corners[3] - mirror.corners[0]
+def reflection(corners: F64, samples: int) -> F32:
+    """Renders the reflection in a mirror with these corners, (H, W, 3) linear, row 0 at the bottom, in the scene of the ``Stage``."""
+    right, up = corners[1] - corners[0], corners[3] - corners[0]
     width, height = float(np.linalg.norm(right)), float(np.linalg.norm(up))
     normal = np.cross(right, up) / (width * height)
     scene = bpy.context.scene
@@ -62,7 +47,7 @@ def reflection(mirror: Mirror, samples: int) -> F32:
     data.clip_start = _DISTANCE + 0.01
     camera = bpy.data.objects.new("mirror", data)
     scene.collection.objects.link(camera)
-    camera.location = mirror.corners.mean(axis=0) - normal * _DISTANCE
+    camera.location = corners.mean(axis=0) - normal * _DISTANCE
     camera.rotation_euler = mathutils.Vector(normal).to_track_quat("-Z", "Y").to_euler()
     scene.camera = camera
     scene.cycles.samples = samples

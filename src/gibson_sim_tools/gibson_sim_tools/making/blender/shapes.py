@@ -22,7 +22,7 @@ class Surface:
     """Pattern, tint and texel density of a part."""
 
     material: str
-    """Pattern of the material, a key of ``materials.PATTERNS``."""
+    """Pattern of the material, a key of ``tiles.PATTERNS`` or of ``appearances.UNTILED``."""
     tint: Tint = WHITE
     """Colour, sRGB, 0 to 1."""
     importance: float = 1.0
@@ -43,9 +43,11 @@ class SurfacePart:
     chart: I64
     """Index of the chart of each triangle, from 0, (F,)."""
     pattern: F64
-    """Pattern coordinates of each corner, (F, 3, 3), m; x along the grain."""
+    """Pattern coordinates of each corner, m, x along the grain, and the number of a single picture, (F, 3, 3)."""
     importance: F64
     """Factor of the texel density of each triangle, (F,)."""
+    thin: bool = False
+    """Whether it is a sheet, seen from both sides, not the surface of a solid."""
 
 
 class ObjectBuilder:
@@ -65,24 +67,27 @@ class ObjectBuilder:
         self.boxes.append((np.minimum(a, b), np.maximum(a, b)))
 
     def add(
-        self, vertices: ArrayLike, triangles: ArrayLike, surface: Surface, uv: F64 | None = None, chart: ArrayLike | None = None
+        self,
+        vertices: ArrayLike,
+        triangles: ArrayLike,
+        surface: Surface,
+        uv: F64 | None = None,
+        chart: ArrayLike | None = None,
+        pattern: F64 | None = None,
     ) -> SurfacePart:
-        """Adds triangles; without ``uv`` each is projected along the axis nearest to its normal."""
+        """Adds triangles; without ``uv`` each is projected along the axis nearest to its normal. ``pattern``: pattern coordinates, (F, 3, 2)."""
         v, t = np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64)
         corners = v[t]
         sides = facing_sides(corners)
         if uv is None:
             uv = project_along_sides(corners, sides)
+        if pattern is None:
+            pattern = _project_with_grain(corners, sides)
+        placed = np.concatenate([pattern + self.rng.uniform(0, 50, 3)[:2], np.zeros((len(t), 3, 1))], axis=2)
         chart_indices = sides if chart is None else np.asarray(chart, dtype=np.int64)
-        part = SurfacePart(v, t, surface, uv, chart_indices, self._pattern(corners), np.full(len(t), surface.importance))
+        part = SurfacePart(v, t, surface, uv, chart_indices, placed, np.full(len(t), surface.importance))
         self.parts.append(part)
         return part
-
-    def _pattern(self, corners: F64) -> F64:
-        """Returns pattern coordinates with x along the longest side and a random offset."""
-        flat = corners.reshape(-1, 3)
-        longest_axis = int(np.argmax(np.ptp(flat, axis=0)))
-        return np.asarray(np.roll(corners, -longest_axis, axis=2) + self.rng.uniform(0, 50, 3))
 
     def box(
         self, low: ArrayLike, high: ArrayLike, surface: Surface, bevel: float = 0.004, open_sides: str = "", solid: bool = False
@@ -103,6 +108,9 @@ class ObjectBuilder:
         bevel = float(min(bevel, 0.3 * (b - a).min()))
         vertices, triangles = _chamfered(a, b, bevel) if bevel > 1e-5 else _sharp(a, b)
         part = self.add(vertices, triangles, surface)
+        # A chamfer has the light of the side to which it belongs: it would be narrower than a texel.
+        inner = np.array([[1, 2], [0, 2], [0, 1]])[part.chart // 2]
+        part.uv = np.clip(part.uv, (a + bevel)[inner][:, None], (b - bevel)[inner][:, None]) if bevel > 1e-5 else part.uv
         for side in open_sides.split():
             chart_index = "xyz".index(side[1]) * 2 + (side[0] == "-")
             part.importance[part.chart == chart_index] *= 0.15
@@ -132,7 +140,11 @@ class ObjectBuilder:
             along = np.clip(1 - (sphere[:, :2] ** 2).sum(axis=1), 0, 1)
             points[:, 2] -= sag * along * (sphere[:, 2] > 0)
         points = np.clip(points, -half, half)
-        return self.add(points + middle, triangles, surface)
+        # The charts are the sides of the cube, not those that the normals face, so that their borders are straight.
+        sides = np.repeat([1, 0, 3, 2, 5, 4], len(triangles) // 6)
+        corners = (points + middle)[triangles]
+        uv, pattern = project_along_sides(corners, sides), _project_with_grain(corners, sides)
+        return self.add(points + middle, triangles, surface, uv, sides, pattern)
 
     def lathe(self, middle: ArrayLike, profile: Sequence[tuple[float, float]], surface: Surface, sides: int = 14) -> SurfacePart:
         """Adds a body of revolution about the vertical axis through ``middle``.
@@ -193,7 +205,9 @@ class ObjectBuilder:
         )
         ends = points[triangles]
         is_valid = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) >= 1e-12
-        return self.add(points, triangles[is_valid], surface, uv[is_valid], chart[is_valid])
+        is_unrolled = ~np.repeat(flat[band], 2)[:, None, None]
+        pattern = np.where(is_unrolled, uv[..., ::-1], uv)  # the grain runs along bars
+        return self.add(points, triangles[is_valid], surface, uv[is_valid], chart[is_valid], pattern[is_valid])
 
     def sheet(self, grid: ArrayLike, surface: Surface) -> SurfacePart:
         """Adds a sheet, such as a cloth or a leaf, from a grid of points, (A, B, 3); seen from its front, A runs to the right and B upwards."""
@@ -204,11 +218,12 @@ class ObjectBuilder:
         triangles = grid_triangles(a, b)
         chart_coords = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         part = self.add(g.reshape(-1, 3), triangles, surface, chart_coords[triangles], np.zeros(len(triangles), dtype=np.int64))
+        part.thin = True
         part.pattern = np.concatenate([chart_coords, np.zeros((len(chart_coords), 1))], axis=1)[triangles]
         return part
 
     def quad(self, corners: ArrayLike, surface: Surface, pattern: ArrayLike | None = None) -> SurfacePart:
-        """Adds a flat quad, (4, 3), counter-clockwise seen from outside. ``pattern``: pattern coordinates, (4, 3)."""
+        """Adds a flat quad, (4, 3), counter-clockwise seen from outside. ``pattern``: pattern coordinates and number, (4, 3)."""
         c = np.asarray(corners, dtype=float)
         triangles = np.array([[0, 1, 2], [0, 2, 3]])
         first = (c[1] - c[0]) / np.linalg.norm(c[1] - c[0])
@@ -249,6 +264,14 @@ def project_along_sides(corners: F64, sides: I64) -> F64:
     axis = sides // 2
     others = np.array([[1, 2], [0, 2], [0, 1]])[axis]
     return np.take_along_axis(corners, others[:, None, :], axis=2)
+
+
+def _project_with_grain(corners: F64, sides: I64) -> F64:
+    """Projects corners, (F, 3, 3), along the axes of their sides; x of the result, (F, 3, 2), is along their longest extent where it can be."""
+    longest_axis = int(np.argmax(np.ptp(corners.reshape(-1, 3), axis=0)))
+    rolled = np.roll(corners, -longest_axis, axis=2)
+    others = np.array([[1, 2], [0, 2], [0, 1]])[(sides // 2 - longest_axis) % 3]
+    return np.take_along_axis(rolled, others[:, None, :], axis=2)
 
 
 def grid_triangles(a: int, b: int) -> I64:

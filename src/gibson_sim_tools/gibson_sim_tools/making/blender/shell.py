@@ -48,7 +48,7 @@ def build_shell(building: Building) -> list[ShellObject]:
         for room in storey.rooms:
             solid = ObjectBuilder(rng)
             _add_level_surface(
-                solid, insets[room.name], holes_in_floor, storey.floor_z, surface_of(room.floor, importance=1.25), up=True
+                solid, insets[room.name], holes_in_floor, storey.floor_z, surface_of(room.floor, importance=1.5), up=True
             )
             _add_thresholds(solid, room, storey)
             # On the ground floor, robots stand on the ground plane; the floor slightly below it marks the rooms in maps.
@@ -170,7 +170,7 @@ def _add_level_surface(
             for b0, b1 in _split_interval(y0, y1, cuts[1]):
                 quad = np.array([(a0, b0, z), (a1, b0, z), (a1, b1, z), (a0, b1, z)])
                 order = [0, 1, 2, 3] if up else [3, 2, 1, 0]
-                pattern = quad[:, [1, 0, 2]] if swap_axes else quad
+                pattern = (quad[:, [1, 0, 2]] if swap_axes else quad) * [1.0, 1.0, 0.0]
                 part = solid.quad(quad[order], surface, pattern[order])
                 plan_corners = part.vertices[part.triangles][..., :2]
                 part.uv = plan_corners
@@ -207,7 +207,7 @@ def _add_thresholds(solid: ObjectBuilder, room: Room, storey: Storey) -> None:
             half, deep = u * opening.width / 2, n * wall.thickness / 2
             corners = [middle - half - deep, middle + half - deep, middle + half + deep, middle - half + deep]
             quad = np.array([(*c, storey.floor_z) for c in corners])
-            solid.quad(quad, surface_of(room.floor), quad)
+            solid.quad(quad, surface_of(room.floor), quad * [1.0, 1.0, 0.0])
 
 
 def _add_slab_boxes(solid: ObjectBuilder, polygon: F64, holes: list[tuple[Point, ...]], z: float) -> None:
@@ -279,7 +279,7 @@ def _add_wall_face(
             if sign > 0:
                 flat = flat[::-1]
             quad = np.column_stack([origin + flat[:, :1] * u, flat[:, 1] + storey.floor_z])
-            pattern = np.column_stack([flat[:, 0] + float(origin @ u) + 40.0, flat[:, 1], np.full(4, 7.0 * sign)])
+            pattern = np.column_stack([flat[:, 0] + float(origin @ u) + 40.0, flat[:, 1], np.zeros(4)])
             part = solid.quad(quad, surface, pattern)
             part.uv = flat[part.triangles]
             part.chart[:] = np.searchsorted(cuts, (a + b) / 2)

@@ -1,4 +1,4 @@
-"""Builds a building as a Blender scene: meshes with the patterns of their surfaces, and lights. ``bake`` bakes it, ``trace`` traces it."""
+"""Builds a building as a Blender scene: meshes with the tiles of their surfaces, and lights. ``bake`` bakes it, ``trace`` traces it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from typing import Any
 import bpy
 import mathutils
 import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.geometry.colours import linear_from_srgb
+from gibson_sim_tools.making.blender.appearances import UNTILED
 from gibson_sim_tools.making.blender.assembly import NO_ATLAS, Assembly
-from gibson_sim_tools.making.blender.materials import make_material
-from gibson_sim_tools.making.blender.shapes import I64
+from gibson_sim_tools.making.blender.materials import plain_material, tile_material
+from gibson_sim_tools.making.blender.shapes import F64, I64
 from gibson_sim_tools.making.building import Building, Lamp, Opening, Room, Storey, Wall
+from gibson_sim_tools.making.tiles import Tile, TileName, draw_tile, factors_of, tiles_of
 
 _SKY = (0.80, 0.90, 1.0)
 _SKY_WATTS = 2.6
@@ -49,18 +52,20 @@ class Stage:
 
     def __init__(self, building: Building, assembly: Assembly) -> None:
         self.scene = new_scene(building.seed)
-        self.materials = {name: make_material(name) for name in assembly.patterns if name != "glass"}
-        """Pattern -> its material, and the node whose image is the target of a bake."""
+        self.materials: dict[str | TileName, tuple[Any, Any]] = {
+            name: plain_material(name) for name in assembly.patterns if name in UNTILED and name != "glass"
+        }
+        """Tile, or pattern without a tile -> its material, and the node whose image is the target of a bake."""
         self.objects: dict[int, Any] = {}
-        """Index of an atlas -> the object with its surfaces."""
+        """Index of a light map -> the object with its surfaces."""
+        self._tiles: dict[TileName, Tile] = {}
         self._add_meshes(assembly)
         self._add_lights(building)
 
     def _add_meshes(self, assembly: Assembly) -> None:
-        glow = np.array([assembly.patterns[p] == "glow" for p in assembly.pattern])
-        glass = np.array([assembly.patterns[p] == "glass" for p in assembly.pattern])
+        glow = _has_pattern(assembly, "glow")
         for atlas in sorted(set(assembly.atlas.tolist())):
-            rows = np.flatnonzero((assembly.atlas == atlas) & ~glow & ~glass)
+            rows = surfaces_of(assembly, atlas)
             if len(rows):
                 self.objects[atlas] = self.mesh_object(assembly, rows, "rest" if atlas == NO_ATLAS else f"atlas_{atlas}")
         if glow.any():
@@ -82,21 +87,39 @@ class Stage:
         mesh.loops.foreach_set("vertex_index", triangles.ravel().astype(np.int32))
         mesh.polygons.add(len(triangles))
         mesh.polygons.foreach_set("loop_start", np.arange(0, triangles.size, 3, dtype=np.int32))
-        slots = sorted(set(assembly.pattern[rows].tolist()))
+        keys_of_rows, coords, factors = self._appearances(assembly, rows)
+        slots = sorted(set(keys_of_rows), key=str)
         for slot in slots:
-            mesh.materials.append(self.materials[assembly.patterns[slot]][0])
+            mesh.materials.append(self.materials[slot][0])
         mesh.update()
-        mesh.polygons.foreach_set("material_index", np.searchsorted(slots, assembly.pattern[rows]).astype(np.int32))
+        numbers = {slot: k for k, slot in enumerate(slots)}
+        mesh.polygons.foreach_set("material_index", np.array([numbers[k] for k in keys_of_rows], dtype=np.int32))
         mesh.polygons.foreach_set("use_smooth", np.ones(len(triangles), dtype=bool))
-        mesh.uv_layers.new(name="atlas").uv.foreach_set("vector", assembly.uv[rows].astype(np.float32).ravel())
-        coords = mesh.attributes.new("place", "FLOAT_VECTOR", "CORNER")
-        coords.data.foreach_set("vector", assembly.pattern_coords[rows].astype(np.float32).ravel())
-        tint = mesh.attributes.new("tint", "FLOAT_VECTOR", "CORNER")
-        tint.data.foreach_set("vector", np.repeat(linear_from_srgb(assembly.tint[rows]), 3, axis=0).astype(np.float32).ravel())
+        for attribute, values in (("tile", coords), ("factor", np.repeat(factors, 3, axis=0))):
+            corner_values = mesh.attributes.new(attribute, "FLOAT_VECTOR", "CORNER")
+            corner_values.data.foreach_set("vector", values.astype(np.float32).ravel())
         mesh.set_sharp_from_angle(angle=_SMOOTH_ANGLE)
         mesh_object = bpy.data.objects.new(name, mesh)
         self.scene.collection.objects.link(mesh_object)
         return mesh_object
+
+    def _appearances(self, assembly: Assembly, rows: I64) -> tuple[list[str | TileName], F64, F64]:
+        """Returns the material, the tile coordinates, (F, 3, 3), and the linear factor of the colour, (F, 3), of triangles."""
+        pattern, tint, place = assembly.pattern[rows], assembly.tint[rows], assembly.pattern_coords[rows]
+        names, index = tiles_of(assembly.patterns, pattern, tint, place)
+        materials: list[str | TileName] = [assembly.patterns[p] for p in pattern]
+        coords, factors = np.zeros_like(place), np.asarray(linear_from_srgb(tint))
+        for number, name in enumerate(names):
+            if name not in self._tiles:
+                self._tiles[name] = draw_tile(name)
+                self.materials[name] = tile_material(name.file, self._tiles[name])
+            tile = self._tiles[name]
+            covered = np.flatnonzero(index == number)
+            for k in covered.tolist():
+                materials[k] = name
+            coords[covered, :, :2] = tile.coords(place[covered])
+            factors[covered] = factors_of(tile, name.pattern, tint[covered])
+        return materials, coords, factors
 
     def _add_lights(self, building: Building) -> None:
         world = bpy.data.worlds.new("sky")
@@ -156,6 +179,15 @@ class Stage:
             light = self._add_light("POINT", power, color)
             light.data.shadow_soft_size = min(lamp.size / 2, 0.12)
         light.location = lamp.position
+
+
+def surfaces_of(assembly: Assembly, atlas: int) -> I64:
+    """Returns the indices of the triangles of a light map that reflect light; ``NO_ATLAS``: those without a light map."""
+    return np.flatnonzero((assembly.atlas == atlas) & ~_has_pattern(assembly, "glow") & ~_has_pattern(assembly, "glass"))
+
+
+def _has_pattern(assembly: Assembly, name: str) -> NDArray[np.bool_]:
+    return np.array([p == name for p in assembly.patterns])[assembly.pattern]
 
 
 def _lamp_color(kelvin: float) -> tuple[float, float, float]:

@@ -142,7 +142,7 @@ def _building_scene(building: Building, quality: Quality) -> Any:
 def _exported(assembly: Assembly) -> Assembly:
     """Returns an assembly without the triangles that are not part of the scene."""
     keep = np.array(assembly.exported)[assembly.owner]
-    names = ("corners", "owner", "pattern", "tint", "pattern_coords", "atlas", "uv")
+    names = ("corners", "owner", "pattern", "tint", "pattern_coords", "thin", "atlas", "uv")
     for name in names:
         setattr(assembly, name, getattr(assembly, name)[keep])
     return assembly

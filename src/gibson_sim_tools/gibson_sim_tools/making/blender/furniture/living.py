@@ -319,7 +319,8 @@ def rug(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     )
     part = s.box((-d / 2, -w / 2, 0), (d / 2, w / 2, h), Surface("rug", color, 1.0), 0.003, "-z")
     # The pattern needs normalised coordinates, -1 to 1 between the edges.
-    part.pattern = part.vertices[part.triangles] / np.array([d / 2, w / 2, 1.0]) + np.array([0, 0, float(s.rng.integers(3))])
+    part.pattern = part.vertices[part.triangles] / np.array([d / 2, w / 2, 1.0])
+    part.pattern[..., 2] = float(s.rng.integers(3))
     s.collide((-0.01, -0.01, 0), (0.01, 0.01, 0.001))
 
 
