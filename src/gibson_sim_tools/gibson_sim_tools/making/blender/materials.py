@@ -36,7 +36,7 @@ def plain_material(pattern: str) -> tuple[Any, Any]:
 
 
 def probe_material(near_m: float) -> tuple[Any, Any]:
-    """Builds a material that shines red at the back of solids and where they touch, and green within ``near_m`` (m); returns it and its image node."""
+    """Builds a material that is red at the back of solids and where they touch, green within ``near_m`` (m); returns it and its image node."""
     material, tree = _new_material("probe")
     material.cycles.emission_sampling = "NONE"  # it is seen, but not sampled as a lamp
     solid = _math(tree, "SUBTRACT", 1.0, _attribute(tree, "thin").outputs["Fac"])
