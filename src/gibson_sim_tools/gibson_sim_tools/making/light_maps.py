@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,20 +12,20 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import cg
 
+from gibson_sim.formats.light_maps import WHITE, encoded_light_map
 from gibson_sim.geometry.triangle_meshes import unit_normals
-from gibson_sim.picture_files import write_picture
+from gibson_sim.writing import write_file
 from gibson_sim_tools.making.pixels import F32, fill_gaps
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-MAX_CODE = 65535
 _CODE_STEP = 16
 """Codes are multiples of it: 12 significant bits are enough, and the files are half as large."""
 _NARROW_CHART_PX = 12
 """Width up to which the light of a chart is smoothed, texels."""
 _SMOOTH_ANGLE_COS = float(np.cos(np.radians(42.0)))
 """Cosine of the angle between triangles up to which a surface is smooth."""
-_SEAM_WEIGHT, _SMOOTHNESS, _FIDELITY = 4.0, 0.4, 0.02
+_SEAM_WEIGHT, _SMOOTHNESS, _FIDELITY = 20.0, 0.4, 0.02
 """Weights in the correction of seams: equality at seams, equal correction of neighbouring texels, small correction."""
 _MAX_SAMPLES = 64
 """Maximum number of samples on one edge of a triangle."""
@@ -173,25 +174,14 @@ def _samples(first: F64, second: F64, width: int, height: int) -> coo_matrix:
     return coo_matrix(entries, shape)
 
 
-def encode_light(light: F32, intensity: float) -> NDArray[np.uint16]:
-    """Encodes radiance, (H, W, 3), linear: intensity * (code / 65535)^2."""
-    codes = np.sqrt(np.clip(light / intensity, 0.0, 1.0)) * (MAX_CODE / _CODE_STEP)
-    return np.minimum(np.round(codes) * _CODE_STEP, MAX_CODE).astype(np.uint16)
-
-
-def decode_light(codes: NDArray[np.uint16], intensity: float) -> F32:
-    """Returns the radiance, (H, W, 3), linear, of codes."""
-    return np.asarray(intensity * (codes.astype(np.float32) / MAX_CODE) ** 2)
-
-
 def write_light(path: Path, light: F32, intensity: float) -> None:
-    """Writes a light map, (H, W, 3), linear, row 0 at the bottom, as a 16-bit PNG."""
-    codes = encode_light(light, intensity)[::-1, :, ::-1]
-    write_picture(path, codes, (cv2.IMWRITE_PNG_COMPRESSION, 9))
+    """Writes a light map. ``light``: radiance of white surfaces, (H, W, 3), linear, row 0 at the bottom; ``intensity``: the largest."""
+    codes = np.round(np.sqrt(np.clip(light / intensity, 0.0, 1.0)) * (WHITE / _CODE_STEP)) * _CODE_STEP
+    write_file(path, encoded_light_map(np.minimum(codes, WHITE).astype(np.uint16)[::-1]), durable=False)
 
 
-def sample_light(light: F32, uv: F64) -> F32:
-    """Returns the light, (N, 3), at coordinates (N, 2), 0 to 1 from the lower left, in a light map (H, W, 3), interpolated bilinearly."""
+def sample_light(light: NDArray[Any], uv: F64) -> F32:
+    """Returns the values of an image, (H, W, 3 or more), at coordinates (N, 2), 0 to 1 from row 0, interpolated bilinearly, (N, 3)."""
     height, width = light.shape[:2]
     pixels = uv * [width, height] - 0.5
     low = np.clip(np.floor(pixels), 0, [width - 2, height - 2]).astype(np.int64)

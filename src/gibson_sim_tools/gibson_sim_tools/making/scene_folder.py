@@ -52,8 +52,6 @@ The scene was made by `{command}`; nothing in it was taken from elsewhere.
 """
 F64 = NDArray[np.float64]
 _MAX_QUANTISED = 65535
-LIGHT_MAP = "GIBSON_light_map"
-"""glTF extension of materials: ``index`` of the texture, ``texCoord``, and ``intensity``, the radiance of the largest code."""
 _SAMPLES = 100_000
 """Number of points on surfaces whose lit colours determine the exposure."""
 _MAX_RADIANCE = 16.0
@@ -83,8 +81,9 @@ def write_scene_folder(building: Building, quality: Quality, work: Path, folder:
     assets.mkdir(parents=True, exist_ok=True)
     for old in [file for kind in ("glb", "jpg", "png", "hdr") for file in assets.glob(f"*.{kind}")]:
         old.unlink()
+    lights = _load_lights(mesh, work)
     surfaces = _Surfaces(mesh)
-    white, intensity = _write_light_maps(mesh, surfaces, work, assets, quality)
+    white, intensity = _write_light_maps(mesh, surfaces, lights, work, assets, quality)
     for name, tile in zip(surfaces.names, surfaces.tiles, strict=True):
         _write_image(assets / f"{name.file}.jpg", tile.pixels[::-1], quality.jpeg)
     write_uniform_surroundings(assets / SURROUNDINGS, white)
@@ -127,22 +126,28 @@ class _Surfaces:
             self.uv[rows] = tile.coords(mesh["pattern_coords"][rows])
 
 
-def _write_light_maps(
-    mesh: dict[str, NDArray[Any]], surfaces: _Surfaces, work: Path, assets: Path, quality: Quality
-) -> tuple[float, float]:
-    """Writes light maps and mirrors; returns the median brightness of a lit white surface, linear, and the radiance of the largest code."""
+def _load_lights(mesh: dict[str, NDArray[Any]], work: Path) -> list[F32]:
+    """Returns the light maps of a bake, (H, W, 4), linear, row 0 at the bottom."""
     lights = []
     for k in range(int(mesh["atlas"].max()) + 1):
         try:
-            light = np.load(work / f"light_{k}.npy")
+            lights.append(np.load(work / f"light_{k}.npy"))
         except (OSError, ValueError) as e:
             raise SceneError(f"{work}: light map {k} was not baked: {e}; run the generator again, finished ones are kept") from e
-        smooth_small_charts(light, mesh["charts"][mesh["charts"][:, 0] == k, 1:])
+    return lights
+
+
+def _write_light_maps(
+    mesh: dict[str, NDArray[Any]], surfaces: _Surfaces, lights: list[F32], work: Path, assets: Path, quality: Quality
+) -> tuple[float, float]:
+    """Writes light maps and mirrors; returns the median brightness of a lit white surface, linear, and the radiance of the largest code."""
+    charts = [mesh["charts"][mesh["charts"][:, 0] == k, 1:] for k in range(len(lights))]
+    for light, own_charts in zip(lights, charts, strict=True):
+        smooth_small_charts(light, own_charts)
         fill_hidden(light)
-        lights.append(light)
     stitch_seams(lights, *(mesh[name] for name in ("corners", "owner", "atlas", "uv", "charts")))
-    for k, light in enumerate(lights):
-        dilate_charts(light, mesh["charts"][mesh["charts"][:, 0] == k, 1:])
+    for light, own_charts in zip(lights, charts, strict=True):
+        dilate_charts(light, own_charts)
     light_on_samples, colors = _lit_samples(mesh, surfaces, lights)
     exposure = exposure_factors([light_on_samples * colors])
     brightest = max(float((light[..., :3] * exposure).max()) for light in lights)
@@ -352,7 +357,7 @@ def write_glb(path: Path, patches: Sequence[Patch]) -> None:
             for name, values in columns.items()
         }
         indices = builder.indices(triangles, "u2" if not len(triangles) or triangles.max() < _MAX_QUANTISED else "u4")
-        builder.primitive(attributes, indices, builder.material(_material(patch.material, builder)))
+        builder.primitive(attributes, indices, _material(patch.material, builder))
     # Quantised positions range from 0 to 65535 along the axes of the z-up frame.
     T_zup_quantised = np.block([[np.diag(size / _MAX_QUANTISED), low[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
     write_file(path, builder.to_bytes(path.stem, Z_UP_TO_Y_UP @ T_zup_quantised), durable=False)
@@ -378,7 +383,7 @@ def write_boxes(path: Path, boxes: ArrayLike) -> None:
     write_glb(path, [Patch(BakedMaterial(), corners[:, triangles].reshape(-1, 3, 3))])
 
 
-def _material(material: BakedMaterial, builder: GlbBuilder) -> dict[str, Any]:
+def _material(material: BakedMaterial, builder: GlbBuilder) -> int:
     pbr: dict[str, Any] = {
         "baseColorFactor": [*linear_from_srgb(material.color[:3]).tolist(), material.color[3]],
         "metallicFactor": 0.0,
@@ -386,13 +391,12 @@ def _material(material: BakedMaterial, builder: GlbBuilder) -> dict[str, Any]:
     }
     if material.texture:
         pbr["baseColorTexture"] = {"index": builder.texture_file(material.texture)}
-    extensions: dict[str, Any] = {"KHR_materials_unlit": {}}
-    if material.light:
-        extensions[LIGHT_MAP] = {"index": builder.texture_file(material.light), "texCoord": 1, "intensity": material.intensity}
-    gltf_material: dict[str, Any] = {"pbrMetallicRoughness": pbr, "doubleSided": True, "extensions": extensions}
+    gltf_material: dict[str, Any] = {"pbrMetallicRoughness": pbr, "doubleSided": True, "extensions": {"KHR_materials_unlit": {}}}
     if material.color[3] < 1.0:
         gltf_material["alphaMode"] = "BLEND"
-    return gltf_material
+    if material.light:
+        return builder.light_mapped_material(gltf_material, builder.texture_file(material.light), material.intensity)
+    return builder.material(gltf_material)
 
 
 def outside_panorama(seed: int) -> NDArray[np.uint8]:

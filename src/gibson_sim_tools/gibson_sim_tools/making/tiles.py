@@ -111,14 +111,16 @@ def factors_of(tile: Tile, pattern: str, tint: ArrayLike) -> F64:
     return np.minimum(colors / tile.mean, 1.0) if is_tinted(pattern) else np.ones_like(colors)
 
 
+@functools.lru_cache(maxsize=64)
 def draw_tile(name: TileName) -> Tile:
-    """Draws a tile; the same name gives the same image."""
+    """Draws a tile; the same name gives the same image, whose pixels cannot be written."""
     canvas_size, size, draw = PATTERNS[name.pattern]
     canvas = _Canvas(canvas_size, size, np.random.default_rng((zlib.crc32(name.pattern.encode()), name.number)), name)
     color = np.broadcast_to(draw(canvas), (canvas_size[1], canvas_size[0], 3))
     if is_tinted(name.pattern):
-        color = color * (_BRIGHTEST / np.percentile(color.max(axis=2), 99.9))
+        color = color * (_BRIGHTEST / np.percentile(color.max(axis=2), 99.5))
     pixels = np.round(srgb_from_linear(np.clip(color, 0.0, 1.0)) * 255).astype(np.uint8)
+    pixels.flags.writeable = False
     return Tile(pixels, size, name.pattern in SINGLE_PICTURES)
 
 
@@ -352,10 +354,10 @@ def _weave(c: _Canvas, pitch: float) -> F64:
     across = np.where(is_warp, u - i, v - j) - 0.5
     along = np.where(is_warp, v - j, u - i) - 0.5
     round_thread = np.sqrt(np.maximum(1.0 - (1.75 * across) ** 2, 0.05)) * (1.0 - 0.9 * along**2)
-    tone_i, tone_j = (1.0 + 0.05 * c.rng.standard_normal(n) for n in (nx, ny))
+    tone_i, tone_j = (1.0 + 0.03 * c.rng.standard_normal(n) for n in (nx, ny))
     thread = np.where(is_warp, 1.03 * tone_i[i], 0.97 * tone_j[j])
-    slub = 1.0 + 0.05 * np.where(is_warp, c.noise(0.003, 0.03), c.noise(0.03, 0.003))
-    return np.asarray((0.55 + 0.5 * round_thread) * thread * slub * (1.0 + 0.012 * c.noise(0.07)))
+    slub = 1.0 + 0.04 * np.where(is_warp, c.noise(0.003, 0.03), c.noise(0.03, 0.003))
+    return np.asarray((0.68 + 0.36 * round_thread) * thread * slub * (1.0 + 0.012 * c.noise(0.07)))
 
 
 def _fabric(c: _Canvas) -> F64:
@@ -476,7 +478,7 @@ PATTERNS: dict[str, tuple[tuple[int, int], tuple[float, float], _Draw]] = {
     "metro": ((1024, 1024), (2.0, 2.0), _tiles(10, 20, 0.5, 0.06)),
     "checker": ((1024, 1024), (1.8, 1.8), _checker),
     "planks": ((1600, 1280), (3.2, 14 * 0.145), _planks(2, 14, 90, 0.13, 0.0024)),
-    "parquet": ((1152, 1024), (5 * 0.42, 28 * 0.07), _planks(5, 28, 100, 0.17, 0.002)),
+    "parquet": ((1152, 1024), (5 * 0.42, 28 * 0.07), _planks(5, 28, 100, 0.13, 0.002)),
     "wood": ((1024, 1024), (2.0, 1.0), _wood),
     "stripes": ((768, 768), (0.96, 0.96), _stripes),
     "carpet": ((1024, 1024), (1.024, 1.024), _carpet),

@@ -9,19 +9,24 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from gibson_sim.errors import SceneError
+from gibson_sim.formats.light_maps import WHITE, radiance_of
 from gibson_sim.formats.load_mesh import load_mesh
+from gibson_sim.geometry.colours import linear_from_srgb
+from gibson_sim.picture_files import write_picture
 from gibson_sim.render.draw.environment import irradiance, load_environment
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools import package_path
 from gibson_sim_tools.making.baking import check_blender
 from gibson_sim_tools.making.blender.appearances import APPEARANCES
 from gibson_sim_tools.making.blender.assembly import assemble
-from gibson_sim_tools.making.blender.charts import BORDER_PX, place_charts
+from gibson_sim_tools.making.blender.charts import BORDER_PX, chart_map, outset_corners, place_charts
 from gibson_sim_tools.making.blender.furniture import BUILDERS, build_piece
 from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface
 from gibson_sim_tools.making.blender.shell import build_shell, offset_polygon
@@ -42,14 +47,14 @@ from gibson_sim_tools.making.building import (
     write_plan,
 )
 from gibson_sim_tools.making.catalogue import CATALOGUE
+from gibson_sim_tools.making.light_maps import dilate_charts, sample_light, smooth_small_charts, stitch_seams, write_light
 from gibson_sim_tools.making.pictures import write_surroundings
-from gibson_sim_tools.making.pixels import exposure_factors, fill_gaps, fill_gaps_mirrored, hidden_texels, tone_map, upsample_2x
+from gibson_sim_tools.making.pixels import exposure_factors, fill_gaps, fill_gaps_mirrored, hidden_texels, tone_map
 from gibson_sim_tools.making.planning.planner import plan_building
 from gibson_sim_tools.making.scene_folder import (
+    MAX_SCENE_BYTES,
     BakedMaterial,
     Patch,
-    draw_reflection,
-    smooth_small_charts,
     write_glb,
     write_scene_folder,
 )
@@ -126,7 +131,7 @@ def test_light_on_a_narrow_chart_is_evened_out_and_leaves_its_neighbours_alone()
     light = np.ones((40, 80, 4), dtype=np.float32)
     light[5:9, 5:65:2, :3] = 3.0
     before = light.copy()
-    smooth_small_charts(light, np.array([[5.0, 5.0, 60.0, 4.0], [5.0, 12.0, 60.0, 26.0]]))
+    smooth_small_charts(light, np.array([[5, 5, 60, 4], [5, 12, 60, 26]]))
     assert light[6, 15:55, 0].std() < 0.05 and light[6, 15:55, 0].mean() == pytest.approx(2.0, abs=0.05)
     assert np.array_equal(light[9:], before[9:]) and np.array_equal(light[:5], before[:5])
 
@@ -152,17 +157,31 @@ def test_a_wall_that_is_not_axis_aligned_is_refused() -> None:
         build_shell(Building("x", "flat", 1, (storey,), (), (), (), ()))
 
 
-def test_charts_do_not_touch_and_lie_within_their_atlas() -> None:
+def test_charts_do_not_overlap_and_are_padded() -> None:
     rng = np.random.default_rng(2)
-    sizes = rng.uniform(0.02, 1.5, (300, 2))
-    placed = place_charts(sizes, np.ones(300), 2, 512)
+    placed = place_charts(rng.uniform(0.0, 1.5, (300, 2)), np.ones(300), 2, 512)
     used = np.zeros((2, 512, 512), dtype=int)
     for k in range(300):
-        x, y = placed.low_px[k].astype(int)
-        w, h = np.ceil(placed.size_px[k]).astype(int)
+        (x, y), (w, h) = placed.low_px[k], placed.size_px[k]
+        assert min(w, h) >= 2
         assert x >= BORDER_PX and y >= BORDER_PX and x + w + BORDER_PX <= 512 and y + h + BORDER_PX <= 512
-        used[placed.atlas[k], y - BORDER_PX : y + h, x - BORDER_PX : x + w] += 1
+        used[placed.atlas[k], y - BORDER_PX : y + h + BORDER_PX, x - BORDER_PX : x + w + BORDER_PX] += 1
     assert used.max() == 1
+    assert BORDER_PX >= 2
+
+
+def test_a_building_is_lit_by_texels_of_its_own_charts_alone() -> None:
+    assembly = assemble(two_rooms(), 1, 256)
+    charts, lit = chart_map(assembly.charts, 0, 256), assembly.atlas == 0
+    pixels = assembly.uv[lit] * 256 - 0.5
+    low, high = np.floor(pixels + 1e-6).astype(int), np.ceil(pixels - 1e-6).astype(int)
+    owners = np.stack([charts[rows[..., 1], columns[..., 0]] for rows in (low, high) for columns in (low, high)], axis=-1)
+    assert (owners >= 0).all()
+    assert (owners == owners[:, :1, :1]).all()
+    # The bake meets the centres of the outermost texels.
+    enlarged = outset_corners(assembly.uv[lit], assembly.charts, 0, 256) * 256 - 0.5
+    assert 0.02 < np.abs(enlarged - pixels).max() < 0.04
+    assert (np.abs(enlarged - pixels) < 0.04).all()
 
 
 def test_charts_that_do_not_fit_are_refused() -> None:
@@ -179,14 +198,15 @@ def test_gaps_get_the_colour_of_the_chart_beside_them() -> None:
     assert np.allclose(result[:, 3], (1, 0, 0)) and np.allclose(result[:, 4], (0, 0, 1))
 
 
-def test_hidden_texels_are_found_and_single_dark_texels_are_kept() -> None:
-    openness = np.ones((8, 12), dtype=np.float32)
-    openness[:, 4] = openness[6, 8:11] = openness[1, 9] = openness[2, 9] = 0.0
-    covered = np.ones((8, 12), dtype=bool)
-    covered[0] = False
-    expected = np.zeros((8, 12), dtype=bool)
-    expected[1:, 3:6] = expected[6, 7:12] = expected[5, 8:11] = expected[7, 8:11] = True
-    assert np.array_equal(hidden_texels(openness, covered), expected)
+def test_texels_inside_solids_and_beside_the_openings_of_gaps_are_hidden() -> None:
+    covered = np.ones((5, 12), dtype=bool)
+    inside, near = np.zeros_like(covered), np.zeros_like(covered)
+    inside[:, 0:2], near[:, 5:9] = True, True
+    near[1, 11] = True
+    hidden = hidden_texels(inside, near, covered)
+    # Deep in a gap, the darkness is seen.
+    assert hidden[3].tolist() == [True, True, False, False, False, True, False, False, True, False, False, False]
+    assert hidden[1, 11] and not hidden_texels(inside, near, np.zeros_like(covered)).any()
 
 
 def test_gaps_show_their_surroundings_mirrored_at_their_edges() -> None:
@@ -221,12 +241,46 @@ def test_the_boxes_of_a_floor_with_six_corners_reach_below_its_walls_all_around(
     np.testing.assert_allclose(offset_polygon(corners, 0.1), expected)
 
 
-def test_a_doubled_image_keeps_its_mean_and_its_place() -> None:
-    image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
-    result = upsample_2x(image)
-    assert result.shape == (8, 8, 1)
-    assert result[1:7, 1:7].mean() == pytest.approx(image.mean())
-    assert result[2, 3, 0] == pytest.approx(0.75 * (0.75 * 5 + 0.25 * 6) + 0.25 * (0.75 * 1 + 0.25 * 2) - 0.5 * 0.0, abs=1.0)
+def test_the_light_is_equal_on_both_sides_of_a_seam_and_hardly_changes_elsewhere() -> None:
+    # Two squares of a plane in two charts, the second lies on its side.
+    square = np.array([[(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 0, 0), (1, 1, 0), (0, 1, 0)]], dtype=float)
+    corners = np.concatenate([square, square + np.array([1.0, 0.0, 0.0])])
+    charts = np.array([[0, 2, 2, 21, 21], [0, 30, 2, 21, 21]])
+    local = square[..., :2] * 20 + 2.5
+    turned = np.stack([local[..., 1] + 28.0, 25.0 - local[..., 0]], axis=-1)
+    uv = np.concatenate([local, turned]) / 64
+    light = np.ones((64, 64, 4), dtype=np.float32)
+    light[:, 28:, :3] = 2.0
+    owner, atlas = np.zeros(4, dtype=int), np.zeros(4, dtype=int)
+    assert stitch_seams([light], corners, owner, atlas, uv, charts) == 1
+    t = np.linspace(0, 1, 9)[:, None]
+    left = sample_light(light, uv[0, 1] * (1 - t) + uv[0, 2] * t)
+    right = sample_light(light, uv[3, 0] * (1 - t) + uv[3, 2] * t)
+    np.testing.assert_allclose(left, right, atol=0.02)
+    np.testing.assert_allclose(left, 1.5, atol=0.1)
+    assert light[12, 3, 0] == pytest.approx(1.0, abs=0.05) and light[3, 40, 0] == pytest.approx(2.0, abs=0.05)
+    edged = corners.copy()
+    edged[2:] = corners[2:] @ np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=float) + [1.0, 0.0, -1.0]
+    assert stitch_seams([light], edged, owner, atlas, uv, charts) == 0
+
+
+def test_charts_are_dilated_by_two_texels() -> None:
+    light = np.zeros((16, 32, 4), dtype=np.float32)
+    light[4:8, 4:10, :3], light[4:8, 14:20, :3] = 1.0, 5.0
+    dilate_charts(light, np.array([[4, 4, 6, 4], [14, 4, 6, 4]]))
+    assert light[5, 2:12, 0].tolist() == [1.0] * 10
+    assert light[5, 12:22, 0].tolist() == [5.0] * 10
+    assert light[2, 4:10, 0].tolist() == light[9, 4:10, 0].tolist() == [1.0] * 6
+
+
+def test_a_light_map_holds_the_light_with_twelve_bits(tmp_path: Path) -> None:
+    light = np.zeros((4, 2, 3), dtype=np.float32)
+    light[0, 0], light[3, 1], light[1, 1] = (0.1, 0.5, 2.0), 5.0, 0.02
+    write_light(tmp_path / "light.png", light, 4.0)
+    codes = cv2.imread(str(tmp_path / "light.png"), cv2.IMREAD_UNCHANGED)[::-1, :, ::-1]
+    assert codes.dtype == np.uint16 and (codes[codes < WHITE] % 16 == 0).all() and codes[3, 1].tolist() == [WHITE] * 3
+    np.testing.assert_allclose(radiance_of(codes, 4.0)[0, 0], light[0, 0], rtol=0.01)
+    assert radiance_of(codes, 4.0)[1, 1, 0] == pytest.approx(0.02, rel=0.01)
 
 
 def test_tones_rise_with_light_and_grey_stays_grey() -> None:
@@ -266,14 +320,23 @@ def test_a_mesh_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert part.material.unlit and part.material.base_color == pytest.approx((0.5, 0.25, 1.0, 1.0), abs=1e-3)
 
 
-def test_a_mirror_image_is_upright_and_not_flipped() -> None:
-    image = np.zeros((20, 20, 3), dtype=np.float32)
-    shown = np.zeros((2, 2, 3), dtype=np.float32)
-    shown[0, 1] = 1.0  # lower right
-    draw_reflection(image, np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]), shown)
-    assert image[6, 14, 0] > 0.5 and image[6, 6, 0] == image[14, 14, 0] == 0.0
-    draw_reflection(image, np.array([[0.2, 0.8], [0.2, 0.2], [0.8, 0.2], [0.8, 0.8]]), shown)  # lies on its side
-    assert image[6, 6, 0] > 0.5 and image[6, 14, 0] == 0.0
+def test_a_light_mapped_mesh_keeps_its_two_sets_of_coordinates_and_its_factors(tmp_path: Path) -> None:
+    corners = np.array([[[0, 0, 0], [2.0, 0, 0], [0, 1, 0.5]]])
+    uv, light_uv = np.array([[[12.5, -3.25], [20.0, 0.0], [0.125, 7.0]]]), np.array([[[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]]])
+    material = BakedMaterial("tile.jpg", light="light.png", intensity=2.5)
+    write_glb(tmp_path / "a.glb", [Patch(material, corners, uv, light_uv, np.array([[0.5, 0.25, 1.0]]))])
+    write_picture(tmp_path / "tile.jpg", np.full((8, 8, 3), 200, dtype=np.uint8))
+    write_light(tmp_path / "light.png", np.ones((4, 4, 3), dtype=np.float32), 2.5)
+    part = load_mesh(tmp_path / "a.glb", [tmp_path]).parts[0]
+    order = part.triangles[0]
+    assert part.uvs is not None and part.light_uvs is not None and part.colors is not None
+    np.testing.assert_allclose(part.uvs[order], uv[0] * [1, -1] + [0, 1], atol=1e-6)
+    np.testing.assert_allclose(part.light_uvs[order], light_uv[0] * [1, -1] + [0, 1], atol=2e-5)
+    np.testing.assert_allclose(linear_from_srgb(part.colors[0, :3] / 255.0), (0.5, 0.25, 1.0), atol=0.01)
+    assert part.material.light_map is not None and part.material.light_intensity == 2.5 and part.material.unlit
+    extension = _document(tmp_path / "a.glb")["materials"][0]["extensions"]["GIBSON_light_map"]
+    assert extension == {"index": 1, "texCoord": 1, "intensity": 2.5}
+    assert "GIBSON_light_map" not in _document(tmp_path / "a.glb")["extensionsRequired"]
 
 
 def test_a_baked_building_becomes_a_scene_that_loads(tmp_path: Path) -> None:
@@ -293,9 +356,18 @@ def test_a_baked_building_becomes_a_scene_that_loads(tmp_path: Path) -> None:
     ]
     assert scene.room_at(4.0, 1.0) == scene.rooms[1]
     assert "CC0" in (tmp_path / "scene" / "LICENSE").read_text()
-    data = (tmp_path / "scene" / "assets" / "wall_0.glb").read_bytes()
-    document = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
-    assert document["images"] == [{"uri": "atlas_0.jpg"}]
+    document = _document(tmp_path / "scene" / "assets" / "wall_0.glb")
+    assert {"tile_plaster.jpg", "tile_plain.jpg", "light_0.png"} == {image["uri"] for image in document["images"]}
+    for image in document["images"]:
+        assert (tmp_path / "scene" / "assets" / image["uri"]).is_file()
+    lit = [p["attributes"] for p in document["meshes"][0]["primitives"] if "TEXCOORD_1" in p["attributes"]]
+    accessors = document["accessors"]
+    for attributes in lit:
+        assert {"POSITION", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0"} == set(attributes)
+        assert accessors[attributes["TEXCOORD_1"]]["normalized"] and accessors[attributes["TEXCOORD_1"]]["componentType"] == 5123
+    assert len(lit) == 2
+    size = sum(file.stat().st_size for file in (tmp_path / "scene").rglob("*") if file.is_file())
+    assert size < MAX_SCENE_BYTES
 
 
 def test_things_in_a_scene_are_lit_as_brightly_as_the_rooms_around_them(tmp_path: Path) -> None:
@@ -307,22 +379,25 @@ def test_things_in_a_scene_are_lit_as_brightly_as_the_rooms_around_them(tmp_path
     assert (factors[0] + factors[6] / 3).mean() == pytest.approx(white, rel=0.02)
 
 
-def test_an_atlas_that_was_not_baked_is_named(tmp_path: Path) -> None:
+def test_a_light_map_that_was_not_baked_is_named(tmp_path: Path) -> None:
     building, quality = two_rooms(), Quality(1, 256, 1)
     _pretend_baked(building, quality, tmp_path)
     (tmp_path / "light_0.npy").unlink()
-    with pytest.raises(SceneError, match="atlas 0 was not baked"):
+    with pytest.raises(SceneError, match="light map 0 was not baked"):
         write_scene_folder(building, quality, tmp_path, tmp_path / "scene", "a test")
 
 
 def _pretend_baked(building: Building, quality: Quality, work: Path) -> None:
     work.mkdir(exist_ok=True)
     assemble(building, quality.atlases, quality.size_px).save(work / "mesh.npz")
-    size = quality.size_px
-    color = np.ones((size, size, 4), dtype=np.float16)
-    np.save(work / "color_0.npy", color * np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float16))
     np.savez(work / "mirrors.npz")
-    np.save(work / "light_0.npy", np.ones((size // 2, size // 2, 4), dtype=np.float16))
+    np.save(work / "light_0.npy", np.ones((quality.size_px, quality.size_px, 4), dtype=np.float32))
+
+
+def _document(path: Path) -> dict[str, Any]:
+    data = path.read_bytes()
+    document: dict[str, Any] = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+    return document
 
 
 def test_a_python_without_blender_is_named() -> None:
