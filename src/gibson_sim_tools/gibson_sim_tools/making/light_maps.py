@@ -66,7 +66,7 @@ def dilate_charts(light: F32, charts: I64) -> None:
         covered = cv2.dilate(covered.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
 
 
-def stitch_seams(lights: Sequence[F32], corners: F64, owner: I64, atlas: I64, uv: F64, charts: I64) -> int:
+def stitch_seams(lights: Sequence[F32], corners: F64, atlas: I64, uv: F64, charts: I64) -> int:
     """Makes the light equal on both sides of the edges at which the charts of a smooth surface meet.
 
     The correction of all texels minimises the differences at samples on these edges, its differences between neighbouring texels of a chart, and
@@ -75,7 +75,6 @@ def stitch_seams(lights: Sequence[F32], corners: F64, owner: I64, atlas: I64, uv
     Args:
         lights: light maps, (H, W, 3 or more) of equal size, row 0 at the bottom; the first three channels are modified in place.
         corners: corners of the triangles, (F, 3, 3), m.
-        owner: index of the object of each triangle, (F,).
         atlas: index of the light map of each triangle, (F,); -1 = none.
         uv: coordinates of the corners in the light map, (F, 3, 2), 0 to 1 from the lower left.
         charts: index of the light map, column and row of the lower left texel, columns and rows of each chart, (C, 5).
@@ -83,7 +82,7 @@ def stitch_seams(lights: Sequence[F32], corners: F64, owner: I64, atlas: I64, uv
     Returns:
         The number of edges.
     """
-    first, second = _seams(corners, owner, atlas, uv)
+    first, second = _seams(corners, atlas, uv)
     if not len(first):
         return 0
     height, width = lights[0].shape[:2]
@@ -129,10 +128,10 @@ def _chart_map(charts: I64, atlas: int, height: int, width: int) -> NDArray[np.i
     return result
 
 
-def _seams(corners: F64, owner: I64, atlas: I64, uv: F64) -> tuple[F64, F64]:
+def _seams(corners: F64, atlas: I64, uv: F64) -> tuple[F64, F64]:
     """Returns the ends of the edges at which charts of a smooth surface meet, in both charts: (E, 2, 3) each, index of the light map, u, v."""
     lit = np.flatnonzero(atlas >= 0)
-    points = np.column_stack([np.repeat(owner[lit], 3), np.round(corners[lit].reshape(-1, 3) * 1e5)])
+    points = np.round(corners[lit].reshape(-1, 3) * 1e5)
     vertex = np.asarray(np.unique(points, axis=0, return_inverse=True)[1]).reshape(-1, 3)
     ends = np.stack([vertex, np.roll(vertex, -1, axis=1)], axis=-1).reshape(-1, 2)
     placed = np.concatenate([np.broadcast_to(atlas[lit][:, None, None], (len(lit), 3, 1)), uv[lit]], axis=2)

@@ -145,7 +145,7 @@ def _write_light_maps(
     for light, own_charts in zip(lights, charts, strict=True):
         smooth_small_charts(light, own_charts)
         fill_hidden(light)
-    stitch_seams(lights, *(mesh[name] for name in ("corners", "owner", "atlas", "uv", "charts")))
+    stitch_seams(lights, *(mesh[name] for name in ("corners", "atlas", "uv", "charts")))
     for light, own_charts in zip(lights, charts, strict=True):
         dilate_charts(light, own_charts)
     light_on_samples, colors = _lit_samples(mesh, surfaces, lights)

@@ -10,6 +10,7 @@ import functools
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,7 +98,8 @@ def tiles_of(patterns: list[str], pattern: I64, tint: ArrayLike, pattern_coords:
         ]
     )
     unique, index = np.unique(rows, axis=0, return_inverse=True)
-    names, slots = [], np.full(len(unique), -1)
+    names: list[TileName] = []
+    slots = np.full(len(unique), -1)
     for k, (number, r, g, b, picture) in enumerate(unique.tolist()):
         if patterns[int(number)] in PATTERNS:
             slots[k] = len(names)
@@ -199,7 +201,7 @@ class _Laid:
         """Returns the share of joints of width ``gap`` at each texel, 0 to 1, with edges ``soft`` wide; ``rough``: shift of the edges, m."""
         return 1.0 - _step(self.edges.min(axis=0) + np.asarray(rough), gap / 2 - soft / 2, gap / 2 + soft / 2)
 
-    def each(self, values: F64) -> F64:
+    def each(self, values: NDArray[Any]) -> NDArray[Any]:
         """Returns the value of its rectangle for each texel; ``values``: (count, ...)."""
         return np.asarray(values[self.number])
 
@@ -301,7 +303,7 @@ def _grain(c: _Canvas, rings: int, strength: float) -> F64:
 
 def _wood_color(darkness: F64) -> F64:
     """Returns colours relative to that of the wood, (H, W, 3): dark grain is redder."""
-    return np.exp(-darkness[..., None] * np.array([0.86, 1.0, 1.16]))
+    return np.asarray(np.exp(-darkness[..., None] * np.array([0.86, 1.0, 1.16])))
 
 
 def _wood(c: _Canvas) -> F64:
