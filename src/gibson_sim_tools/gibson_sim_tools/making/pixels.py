@@ -12,6 +12,8 @@ _MIDDLE_GREY = 0.48
 """Linear brightness of a scene's geometric mean before the tone curve."""
 _WHITE_BALANCE = 0.6
 """Fraction of the light's overall tint that white balance removes."""
+_GAP_PX = 2
+"""Depth up to which the texels of a gap are hidden, pixels."""
 _SEARCH_RADIUS = 16
 """Search radius for covered pixels, pixels."""
 _WHITE_POINT = 4.2
@@ -56,6 +58,13 @@ def fill_gaps_mirrored(image: F32, covered: NDArray[np.bool_]) -> F32:
     return np.asarray(result, dtype=np.float32)
 
 
+def median_filtered(image: F32) -> F32:
+    """Returns the median of each pixel of an image, (H, W, C), and its eight neighbours: less noise, the same edges."""
+    padded = np.pad(image, [(1, 1), (1, 1), (0, 0)], mode="edge")
+    height, width = image.shape[:2]
+    return np.asarray(np.median([padded[j : j + height, i : i + width] for j in range(3) for i in range(3)], axis=0))
+
+
 def _nearest(covered: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
     """Returns row and column of the nearest covered pixel of each pixel, and whether one is within about ``_SEARCH_RADIUS``, by jump flooding.
 
@@ -95,9 +104,10 @@ def hidden_texels(inside: NDArray[np.bool_], near: NDArray[np.bool_], covered: N
         near: mask of texels with other surfaces closely around them, (H, W).
         covered: mask of surfaces, (H, W).
     """
-    in_the_open = np.pad(covered & ~inside & ~near, 1)
+    in_the_open = np.pad(covered & ~inside & ~near, _GAP_PX)
     height, width = covered.shape
-    beside = np.logical_or.reduce([in_the_open[j : j + height, i : i + width] for j in range(3) for i in range(3)])
+    shifts = range(2 * _GAP_PX + 1)
+    beside = np.logical_or.reduce([in_the_open[j : j + height, i : i + width] for j in shifts for i in shifts])
     return np.asarray(covered & (inside | (near & beside)))
 
 

@@ -49,7 +49,14 @@ from gibson_sim_tools.making.building import (
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.light_maps import dilate_charts, sample_light, smooth_small_charts, stitch_seams, write_light
 from gibson_sim_tools.making.pictures import write_surroundings
-from gibson_sim_tools.making.pixels import exposure_factors, fill_gaps, fill_gaps_mirrored, hidden_texels, tone_map
+from gibson_sim_tools.making.pixels import (
+    exposure_factors,
+    fill_gaps,
+    fill_gaps_mirrored,
+    hidden_texels,
+    median_filtered,
+    tone_map,
+)
 from gibson_sim_tools.making.planning.planner import plan_building
 from gibson_sim_tools.making.scene_folder import (
     MAX_SCENE_BYTES,
@@ -199,14 +206,22 @@ def test_gaps_get_the_colour_of_the_chart_beside_them() -> None:
 
 
 def test_texels_inside_solids_and_beside_the_openings_of_gaps_are_hidden() -> None:
-    covered = np.ones((5, 12), dtype=bool)
+    covered = np.ones((5, 14), dtype=bool)
     inside, near = np.zeros_like(covered), np.zeros_like(covered)
-    inside[:, 0:2], near[:, 5:9] = True, True
-    near[1, 11] = True
+    inside[:, 0:2], near[:, 5:11] = True, True
+    near[1, 13] = True
     hidden = hidden_texels(inside, near, covered)
     # Deep in a gap, the darkness is seen.
-    assert hidden[3].tolist() == [True, True, False, False, False, True, False, False, True, False, False, False]
-    assert hidden[1, 11] and not hidden_texels(inside, near, np.zeros_like(covered)).any()
+    assert np.flatnonzero(hidden[3]).tolist() == [0, 1, 5, 6, 9, 10]
+    assert hidden[1, 13] and not hidden_texels(inside, near, np.zeros_like(covered)).any()
+
+
+def test_the_median_removes_noise_and_keeps_the_edge_of_a_half_covered_row() -> None:
+    image = np.zeros((7, 9, 1), dtype=np.float32)
+    image[3], image[4:] = 0.6, 1.0
+    noisy = image.copy()
+    noisy[3, 4], noisy[1, 2] = 0.95, 0.8
+    assert np.array_equal(median_filtered(noisy), image)
 
 
 def test_gaps_show_their_surroundings_mirrored_at_their_edges() -> None:

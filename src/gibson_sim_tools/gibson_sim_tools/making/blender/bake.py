@@ -11,11 +11,11 @@ from gibson_sim_tools.making.blender.charts import outset_corners
 from gibson_sim_tools.making.blender.materials import probe_material
 from gibson_sim_tools.making.blender.stage import Stage, surfaces_of
 from gibson_sim_tools.making.building import Building
-from gibson_sim_tools.making.pixels import hidden_texels
+from gibson_sim_tools.making.pixels import fill_gaps_mirrored, hidden_texels, median_filtered
 
 F32 = NDArray[np.float32]
 _PROBE_SAMPLES = 8
-_HIDDEN = 0.8
+_HIDDEN = 0.7
 """Share of views of the inner sides of solids, or of near surfaces, from which a texel is hidden."""
 _NEAR_M = 0.05
 """Distance up to which a surface is near, m."""
@@ -48,13 +48,14 @@ class BakedStage(Stage):
         partly inside has the light of its visible part.
         """
         image = self._bake(atlas, samples, [target for _, target in self.materials.values()])
-        inside, near = self._probe(atlas)
+        covered = image[..., 3] > 0.5
+        inside, near = np.moveaxis(median_filtered(fill_gaps_mirrored(self._probe(atlas), covered)), 2, 0)
         image[..., :3] /= np.maximum(1.0 - inside, 1.0 - _HIDDEN)[..., None]
-        image[..., 3] *= ~hidden_texels(inside >= _HIDDEN, near >= _HIDDEN, image[..., 3] > 0.5)
+        image[..., 3] *= ~hidden_texels(inside >= _HIDDEN, near >= _HIDDEN, covered)
         return image
 
-    def _probe(self, atlas: int) -> tuple[F32, F32]:
-        """Returns the share of views of the inner sides of solids from each texel, (H, W), and that of views of near surfaces."""
+    def _probe(self, atlas: int) -> F32:
+        """Returns the shares of views of the inner sides of solids, and of views of near surfaces, from each texel, (H, W, 2)."""
         material, target = probe_material(_NEAR_M)
         lights = [item for item in self.scene.objects if item.type == "LIGHT"]
         materials = [(item.data, list(item.data.materials)) for item in self.objects.values()]
@@ -74,7 +75,7 @@ class BakedStage(Stage):
             light.hide_render = False
         cycles.max_bounces, cycles.diffuse_bounces = bounces
         bpy.data.materials.remove(material)
-        return np.clip(image[..., 0], 0.0, 1.0), np.clip(image[..., 1], 0.0, 1.0)
+        return np.asarray(np.clip(image[..., :2], 0.0, 1.0))
 
     def _bake(self, atlas: int, samples: int, targets: list[object]) -> F32:
         """Bakes the diffuse light on an object, without its colour, (H, W, 4); the last channel is 1 on surfaces."""
