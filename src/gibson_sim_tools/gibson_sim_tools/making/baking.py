@@ -17,6 +17,7 @@ import gibson_sim
 from gibson_sim.errors import SceneError
 from gibson_sim.maps.scene_files import write_scene_files
 from gibson_sim.resources import cache_folder
+from gibson_sim.writing import write_file
 from gibson_sim_tools import package_path
 from gibson_sim_tools.making.building import Building, Quality, write_plan
 from gibson_sim_tools.making.pictures import write_surroundings, write_thumbnail
@@ -24,6 +25,8 @@ from gibson_sim_tools.making.scene_folder import write_scene_folder
 
 ReportProgress = Callable[[str, float, float | None], None]
 """Callback; receives the current task, the completed fraction (0 to 1), and the remaining seconds (None = unknown)."""
+_FINISHED = "finished"
+"""File in the cache folder of a finished plan, with the path of its scene."""
 _MAX_LOG_LINES = 12
 """Number of last lines of Blender's log in an error message."""
 
@@ -45,7 +48,7 @@ def make_scene(
         quality: resolution and samples.
         folder: folder of the scene; new, or with an earlier scene of the generator.
         python: Python interpreter with Blender.
-        resume: continue an interrupted run of the same plan.
+        resume: continue an interrupted run of the same plan; a run that was finished is not repeated.
         command: command line recorded in the scene.
         report: progress callback.
 
@@ -54,6 +57,10 @@ def make_scene(
     """
     check_blender(python)
     work = work_folder(building, quality)
+    finished = work / _FINISHED
+    if resume and finished.exists() and finished.read_text(encoding="utf-8") == str(folder.resolve()) and folder.exists():
+        report("finished before", 1.0, None)
+        return
     if not resume:
         shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True, exist_ok=True)
@@ -67,6 +74,7 @@ def make_scene(
     report("thumbnail", 1.0, None)
     write_thumbnail(folder, building)
     shutil.rmtree(work)
+    write_file(finished, str(folder.resolve()))
 
 
 def work_folder(building: Building, quality: Quality) -> Path:

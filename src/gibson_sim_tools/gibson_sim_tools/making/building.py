@@ -213,8 +213,8 @@ class Quality:
 QUALITIES = {
     "smallest": Quality(1, 1024, 1),
     "draft": Quality(2, 1024, 4),
-    "normal": Quality(2, 1152, 16, 88),
-    "high": Quality(2, 1152, 64, 90),
+    "normal": Quality(2, 1152, 16),
+    "high": Quality(2, 1152, 64),
 }
 
 

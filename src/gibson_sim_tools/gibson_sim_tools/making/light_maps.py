@@ -27,6 +27,8 @@ _SMOOTH_ANGLE_COS = float(np.cos(np.radians(42.0)))
 """Cosine of the angle between triangles up to which a surface is smooth."""
 _SEAM_WEIGHT, _SMOOTHNESS, _FIDELITY = 20.0, 0.4, 0.02
 """Weights in the correction of seams: equality at seams, equal correction of neighbouring texels, small correction."""
+_MIN_AREA = 1e-10
+"""Twice the area in the light map, of edge 1, up to which a triangle is a line."""
 _MAX_SAMPLES = 64
 """Maximum number of samples on one edge of a triangle."""
 
@@ -73,7 +75,8 @@ def stitch_seams(lights: Sequence[F32], corners: F64, atlas: I64, uv: F64, chart
     its size (linear least squares, conjugate gradients); see Iwanicki, "Lighting technology of The Last of Us", SIGGRAPH 2013 talks.
 
     Args:
-        lights: light maps, (H, W, 3 or more) of equal size, row 0 at the bottom; the first three channels are modified in place.
+        lights: light maps, (H, W, 4) of equal size, row 0 at the bottom; the last channel is 1 on visible surfaces, -1 on hidden ones; the others
+            are modified in place.
         corners: corners of the triangles, (F, 3, 3), m.
         atlas: index of the light map of each triangle, (F,); -1 = none.
         uv: coordinates of the corners in the light map, (F, 3, 2), 0 to 1 from the lower left.
@@ -86,10 +89,10 @@ def stitch_seams(lights: Sequence[F32], corners: F64, atlas: I64, uv: F64, chart
     if not len(first):
         return 0
     height, width = lights[0].shape[:2]
-    samples = _samples(first, second, width, height)
+    samples = _samples(first, second, width, height, np.concatenate([light[..., 3].ravel() >= 0.0 for light in lights]))
     used = np.unique(samples.col)
     chart = np.concatenate([_chart_map(charts, k, height, width).ravel() for k in range(len(lights))])
-    # Only charts with seams change. Samples at the edge of a chart touch its border with weight 0.
+    # Only charts with seams change; rounding puts a little weight on their borders.
     changes = np.isin(chart, np.unique(chart[used])) & (chart >= 0)
     changes[used] = True
     active = np.flatnonzero(changes)
@@ -130,7 +133,9 @@ def _chart_map(charts: I64, atlas: int, height: int, width: int) -> NDArray[np.i
 
 def _seams(corners: F64, atlas: I64, uv: F64) -> tuple[F64, F64]:
     """Returns the ends of the edges at which charts of a smooth surface meet, in both charts: (E, 2, 3) each, index of the light map, u, v."""
-    lit = np.flatnonzero(atlas >= 0)
+    # Chamfers have no texels of their own; they would join the charts of sharp edges.
+    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    lit = np.flatnonzero((atlas >= 0) & (np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > _MIN_AREA))
     points = np.round(corners[lit].reshape(-1, 3) * 1e5)
     vertex = np.asarray(np.unique(points, axis=0, return_inverse=True)[1]).reshape(-1, 3)
     ends = np.stack([vertex, np.roll(vertex, -1, axis=1)], axis=-1).reshape(-1, 2)
@@ -148,29 +153,32 @@ def _seams(corners: F64, atlas: I64, uv: F64) -> tuple[F64, F64]:
     return places[found], places[found + 1]
 
 
-def _samples(first: F64, second: F64, width: int, height: int) -> coo_matrix:
-    """Returns the matrix of the differences at samples on edges, rows: samples, columns: texels of all light maps."""
+def _samples(first: F64, second: F64, width: int, height: int, visible: NDArray[np.bool_]) -> coo_matrix:
+    """Returns the matrix of the differences at samples on edges, rows: samples, columns: texels of all light maps.
+
+    ``visible``: mask of the texels that are not hidden; samples that hidden texels determine on either side have no entries.
+    """
     size = np.array([width, height])
     longest = np.maximum(*(np.abs((e[:, 1, 1:] - e[:, 0, 1:]) * size).max(axis=1) for e in (first, second)))
     counts = np.clip(np.ceil(1.5 * longest), 2, _MAX_SAMPLES).astype(np.int64)
     edge = np.repeat(np.arange(len(first)), counts)
     place = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
     t = ((place + 0.5) / counts[edge])[:, None]
-    rows, columns, weights = [], [], []
-    for sign, ends in ((1.0, first), (-1.0, second)):
+    texels = np.zeros((2, len(edge), 4), dtype=np.int64)
+    weights = np.zeros((2, len(edge), 4))
+    for side, ends in enumerate((first, second)):
         pixels = (ends[edge, 0, 1:] * (1 - t) + ends[edge, 1, 1:] * t) * size - 0.5
         low = np.floor(pixels).astype(np.int64)
         part = pixels - low
-        base = ends[edge, 0, 0].astype(np.int64) * (width * height)
-        for j in (0, 1):
-            for i in (0, 1):
-                x, y = np.clip(low[:, 0] + i, 0, width - 1), np.clip(low[:, 1] + j, 0, height - 1)
-                rows.append(np.arange(len(edge)))
-                columns.append(base + y * width + x)
-                weights.append(sign * (part[:, 0] if i else 1 - part[:, 0]) * (part[:, 1] if j else 1 - part[:, 1]))
-    shape = (len(edge), int(max(c.max() for c in columns)) + 1)
-    entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))
-    return coo_matrix(entries, shape)
+        for k, (j, i) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+            x, y = np.clip(low[:, 0] + i, 0, width - 1), np.clip(low[:, 1] + j, 0, height - 1)
+            texels[side, :, k] = ends[edge, 0, 0].astype(np.int64) * (width * height) + y * width + x
+            weights[side, :, k] = (part[:, 0] if i else 1 - part[:, 0]) * (part[:, 1] if j else 1 - part[:, 1])
+    is_seen = (weights * visible[texels]).sum(axis=2).min(axis=0) > 0.5
+    weights[1] *= -1.0
+    rows = np.broadcast_to(np.arange(len(edge))[None, :, None], texels.shape)
+    chosen = np.broadcast_to(is_seen[None, :, None], texels.shape) & (weights != 0.0)
+    return coo_matrix((weights[chosen], (rows[chosen], texels[chosen])), (len(edge), len(visible)))
 
 
 def write_light(path: Path, light: F32, intensity: float) -> None:

@@ -13,7 +13,7 @@ _MIDDLE_GREY = 0.48
 _WHITE_BALANCE = 0.6
 """Fraction of the light's overall tint that white balance removes."""
 _GAP_PX = 2
-"""Depth up to which the texels of a gap are hidden, pixels."""
+"""Depth up to which the texels of gaps and of insides are hidden, pixels; less than the distance of charts."""
 _SEARCH_RADIUS = 16
 """Search radius for covered pixels, pixels."""
 _WHITE_POINT = 4.2
@@ -96,8 +96,8 @@ def _overlap(j: int, i: int, shape: tuple[int, ...]) -> tuple[tuple[slice, slice
 def hidden_texels(inside: NDArray[np.bool_], near: NDArray[np.bool_], covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Returns the mask, (H, W), of texels whose light must not bleed onto visible ones.
 
-    These are all texels inside solids, as on a wall behind its skirting, and those in narrow gaps, as behind a wardrobe, beside texels in the open;
-    deeper in a gap, a camera can see that it is dark.
+    These are the texels inside solids, as on a wall behind its skirting, and in narrow gaps, as behind a wardrobe, that lie beside texels in the
+    open; deeper in a gap, a camera can see that it is dark.
 
     Args:
         inside: mask of texels inside solids, (H, W).
@@ -108,7 +108,7 @@ def hidden_texels(inside: NDArray[np.bool_], near: NDArray[np.bool_], covered: N
     height, width = covered.shape
     shifts = range(2 * _GAP_PX + 1)
     beside = np.logical_or.reduce([in_the_open[j : j + height, i : i + width] for j in shifts for i in shifts])
-    return np.asarray(covered & (inside | (near & beside)))
+    return np.asarray(covered & (inside | near) & beside)
 
 
 def _dilated(image: F32, covered: F32) -> tuple[F32, F32]:

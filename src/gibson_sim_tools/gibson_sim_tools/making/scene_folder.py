@@ -18,10 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.glb import Z_UP_TO_Y_UP, GlbBuilder
-from gibson_sim.geometry.colours import linear_from_srgb
+from gibson_sim.geometry.colours import linear_from_srgb, srgb_from_linear
 from gibson_sim.picture_files import write_picture
 from gibson_sim.scenes.scene_yaml import write_scene_yaml
 from gibson_sim.writing import write_file
+from gibson_sim_tools.making.blender.shapes import WHITE
 from gibson_sim_tools.making.building import Building, Quality
 from gibson_sim_tools.making.light_maps import (
     dilate_charts,
@@ -220,8 +221,18 @@ def _patches(
     for atlas, tile in np.unique(keys, axis=0).tolist():
         rows = object_rows[(keys == (atlas, tile)).all(axis=1)]
         if atlas >= 0:
-            material = BakedMaterial(f"{surfaces.names[tile].file}.jpg", light=f"light_{atlas}.png", intensity=intensity)
-            yield Patch(material, mesh["corners"][rows].astype(float), surfaces.uv[rows], mesh["uv"][rows], surfaces.factor[rows])
+            texture = f"{surfaces.names[tile].file}.jpg" if tile >= 0 else ""
+            factor = surfaces.factor[rows]
+            is_uniform = bool((factor == factor[0]).all())
+            red, green, blue = srgb_from_linear(factor[0]).tolist() if is_uniform else WHITE
+            material = BakedMaterial(texture, (red, green, blue, 1.0), f"light_{atlas}.png", intensity)
+            yield Patch(
+                material,
+                mesh["corners"][rows].astype(float),
+                surfaces.uv[rows] if texture else None,
+                mesh["uv"][rows],
+                None if is_uniform else factor,
+            )
             continue
         appearances = np.column_stack([mesh["tint"][rows], mesh["pattern"][rows]])
         for appearance in np.unique(appearances, axis=0):
@@ -324,7 +335,7 @@ class Patch:
     light_uv: F64 | None = None
     """Coordinates in the light map, (F, 3, 2), 0 to 1 from the lower left; None without a light map."""
     factor: F64 | None = None
-    """Linear colour by which the texture is multiplied, (F, 3), 0 to 1; None = 1."""
+    """Linear colour by which texture and colour of the material are multiplied, (F, 3), 0 to 1; None = 1."""
 
 
 def write_glb(path: Path, patches: Sequence[Patch]) -> None:
@@ -341,7 +352,7 @@ def write_glb(path: Path, patches: Sequence[Patch]) -> None:
             columns["TEXCOORD_0"] = _from_upper_left(patch.uv).astype(np.float32)
         if patch.light_uv is not None:
             columns["TEXCOORD_1"] = _codes(_from_upper_left(patch.light_uv))
-        if patch.factor is not None and (patch.factor < 1.0).any():
+        if patch.factor is not None:
             columns["COLOR_0"] = _codes(np.repeat(patch.factor, 3, axis=0))
         table = np.concatenate([values.astype(np.float64) for values in columns.values()], axis=1)
         _, first, index = np.unique(table, axis=0, return_index=True, return_inverse=True)

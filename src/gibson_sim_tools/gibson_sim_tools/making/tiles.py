@@ -223,10 +223,6 @@ def _grey(tone: F64) -> F64:
     return np.asarray(np.maximum(tone, 0.02)[..., None])
 
 
-def _plain(c: _Canvas) -> F64:
-    return _grey(1.0 + 0.006 * c.noise(0.012) + 0.003 * c.noise(0.1))
-
-
 def _plaster(c: _Canvas) -> F64:
     """Returns painted plaster: the grain of a roller, lit from above, and small flaws."""
     height = c.noise(0.007, octaves=0.6) + 0.8 * c.noise(0.022, octaves=0.7)
@@ -471,7 +467,6 @@ def _art(c: _Canvas) -> F64:
 
 _Draw = Callable[[_Canvas], F64]
 PATTERNS: dict[str, tuple[tuple[int, int], tuple[float, float], _Draw]] = {
-    "plain": ((384, 384), (0.48, 0.48), _plain),
     "plaster": ((1024, 1024), (1.6, 1.6), _plaster),
     "concrete": ((1024, 1024), (2.0, 2.0), _concrete),
     "brick": ((1024, 1024), (2.0, 26 * 0.077), _bricks),

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.colours import linear_from_srgb
-from gibson_sim_tools.making.blender.appearances import APPEARANCES, UNTILED
+from gibson_sim_tools.making.blender.appearances import APPEARANCES, UNLIT
 from gibson_sim_tools.making.tiles import PATTERNS, SINGLE_PICTURES, Tile, TileName, draw_tile, factors_of, is_tinted, tiles_of
 
-TILED = ("plain", "plaster", "brick", "wood", "fabric", "parquet", "leather", "tile_30")
+TILED = ("plaster", "brick", "wood", "fabric", "parquet", "leather", "tile_30")
 """Patterns of each way of drawing; the others take long."""
 
 
@@ -76,7 +76,7 @@ def test_the_same_name_gives_the_same_tile() -> None:
 
 
 def test_every_appearance_has_a_tile_or_needs_none() -> None:
-    assert {pattern for pattern, _ in APPEARANCES.values()} == {*PATTERNS, *UNTILED}
+    assert {pattern for pattern, _ in APPEARANCES.values()} == {*PATTERNS, *UNLIT, "plain"}
 
 
 def test_surfaces_share_a_tile_unless_their_pattern_has_colours_of_its_own() -> None:

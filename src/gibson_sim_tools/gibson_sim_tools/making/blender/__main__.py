@@ -67,7 +67,7 @@ def _bake_all(stage: BakedStage, quality: Quality, missing: list[int], work: Pat
         covered = image[..., 3] > 0.5
         image[..., :3] = denoise(fill_gaps_mirrored(image[..., :3], covered))
         part = work / f"light_{atlas}.part.npy"
-        np.save(part, np.concatenate([image[..., :3], covered[..., None]], axis=-1).astype(np.float32))
+        np.save(part, np.concatenate([image[..., :3], np.round(image[..., 3:])], axis=-1).astype(np.float32))
         os.replace(part, work / f"light_{atlas}.npy")
 
 
@@ -76,7 +76,7 @@ def _render_mirrors(assembly: Assembly, quality: Quality, path: Path) -> None:
     _report_progress("mirrors", 0.98)
     rows: dict[str, Any] = {}
     for number, mirror in enumerate(mirrors_of(assembly)):
-        rows[f"image_{number}"] = reflection(mirror, 4 * quality.samples).astype(np.float16)
+        rows[f"image_{number}"] = reflection(mirror, 2 * quality.samples).astype(np.float16)
     part = path.with_suffix(".part.npz")
     np.savez_compressed(part, **rows)
     os.replace(part, path)

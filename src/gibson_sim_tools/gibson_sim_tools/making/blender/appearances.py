@@ -69,8 +69,8 @@ APPEARANCES: dict[str, tuple[str, Tint]] = {
     "outside": ("outside", (0.84, 0.82, 0.78)),
 }
 _PRINTED_HUES = (0.0, 0.02, 0.05, 0.08, 0.11, 0.13, 0.3, 0.42, 0.52, 0.57, 0.6, 0.62)
-UNTILED = ("glass", "glow", "mirror", "outside")
-"""Patterns of a single colour without a light map; a mirror has a picture of its own."""
+UNLIT = ("glass", "glow", "mirror", "outside")
+"""Patterns without a light map, of a single colour; a mirror has a picture of its own."""
 
 
 def surface_of(name: str, tint: Tint | None = None, importance: float = 1.0) -> Surface:

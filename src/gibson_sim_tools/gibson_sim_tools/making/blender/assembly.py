@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.making.blender.appearances import UNTILED
+from gibson_sim_tools.making.blender.appearances import UNLIT
 from gibson_sim_tools.making.blender.charts import chart_extents, place_charts, place_corners
 from gibson_sim_tools.making.blender.furniture import build_piece
 from gibson_sim_tools.making.blender.shapes import F64, I64, ObjectBuilder, Surface, pose_matrix
@@ -133,9 +133,9 @@ def assemble(building: Building, atlases: int, size_px: int) -> Assembly:
             rows["importance"].append(part.importance)
             charts += int(chart.max()) + 1
     table = {k: np.concatenate(v) for k, v in rows.items()}
-    untiled = [patterns.index(p) for p in UNTILED if p in patterns]
+    unlit = [patterns.index(p) for p in UNLIT if p in patterns]
     is_blocker = np.array([not t.exported for t in objects])[table["owner"]]
-    is_lit = ~np.isin(table["pattern"], untiled) & ~is_blocker
+    is_lit = ~np.isin(table["pattern"], unlit) & ~is_blocker
     atlas, uv, placed_charts, density = _place_in_atlases(table, is_lit, atlases, size_px)
     boxes = [(low, high) for t in objects for low, high in t.solid.boxes]
     return Assembly(

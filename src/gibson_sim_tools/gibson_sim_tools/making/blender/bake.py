@@ -44,14 +44,14 @@ class BakedStage(Stage):
     def light(self, atlas: int, samples: int) -> F32:
         """Bakes the light on white of the visible surfaces, (H, W, 4), linear, row 0 at the bottom.
 
-        The last channel is 1 where a texel shows a surface that does not lie inside a solid, as a wall behind its skirting does. A texel that is
-        partly inside has the light of its visible part.
+        The last channel is 1 on surfaces, but -1 where their light must not be used, as on a wall behind its skirting. A texel that is partly inside
+        a solid has the light of its visible part.
         """
         image = self._bake(atlas, samples, [target for _, target in self.materials.values()])
         covered = image[..., 3] > 0.5
         inside, near = np.moveaxis(median_filtered(fill_gaps_mirrored(self._probe(atlas), covered)), 2, 0)
         image[..., :3] /= np.maximum(1.0 - inside, 1.0 - _HIDDEN)[..., None]
-        image[..., 3] *= ~hidden_texels(inside >= _HIDDEN, near >= _HIDDEN, covered)
+        image[hidden_texels(inside >= _HIDDEN, near >= _HIDDEN, covered), 3] = -1.0
         return image
 
     def _probe(self, atlas: int) -> F32:

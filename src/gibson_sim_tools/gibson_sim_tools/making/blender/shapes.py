@@ -22,7 +22,7 @@ class Surface:
     """Pattern, tint and texel density of a part."""
 
     material: str
-    """Pattern of the material, a key of ``tiles.PATTERNS`` or of ``appearances.UNTILED``."""
+    """Pattern of the material, a key of ``tiles.PATTERNS``, ``plain``, or one of ``appearances.UNLIT``."""
     tint: Tint = WHITE
     """Colour, sRGB, 0 to 1."""
     importance: float = 1.0

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.colours import linear_from_srgb
-from gibson_sim_tools.making.blender.appearances import UNTILED
 from gibson_sim_tools.making.blender.assembly import NO_ATLAS, Assembly
 from gibson_sim_tools.making.blender.materials import plain_material, tile_material
 from gibson_sim_tools.making.blender.shapes import F64, I64
 from gibson_sim_tools.making.building import Building, Lamp, Opening, Room, Storey, Wall
-from gibson_sim_tools.making.tiles import Tile, TileName, draw_tile, factors_of, tiles_of
+from gibson_sim_tools.making.tiles import PATTERNS, Tile, TileName, draw_tile, factors_of, tiles_of
 
 _SKY = (0.80, 0.90, 1.0)
 _SKY_WATTS = 2.6
@@ -53,7 +52,7 @@ class Stage:
     def __init__(self, building: Building, assembly: Assembly) -> None:
         self.scene = new_scene(building.seed)
         self.materials: dict[str | TileName, tuple[Any, Any]] = {
-            name: plain_material(name) for name in assembly.patterns if name in UNTILED and name != "glass"
+            name: plain_material(name) for name in assembly.patterns if name not in PATTERNS and name != "glass"
         }
         """Tile, or pattern without a tile -> its material, and the node whose image is the target of a bake."""
         self.objects: dict[int, Any] = {}
