@@ -55,12 +55,12 @@ def make_scene(
     Raises:
         SceneError: Blender is missing or failed, or the scene became too large.
     """
-    check_blender(python)
     work = work_folder(building, quality)
     finished = work / _FINISHED
     if resume and finished.exists() and finished.read_text(encoding="utf-8") == str(folder.resolve()) and folder.exists():
         report("finished before", 1.0, None)
         return
+    check_blender(python)
     if not resume:
         shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,7 @@ from gibson_sim.picture_files import write_picture
 from gibson_sim.render.draw.environment import irradiance, load_environment
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools import package_path
-from gibson_sim_tools.making.baking import check_blender
+from gibson_sim_tools.making.baking import check_blender, make_scene, work_folder
 from gibson_sim_tools.making.blender.appearances import APPEARANCES
 from gibson_sim_tools.making.blender.assembly import assemble
 from gibson_sim_tools.making.blender.charts import BORDER_PX, chart_map, outset_corners, place_charts
@@ -425,6 +425,33 @@ def _document(path: Path) -> dict[str, Any]:
     return document
 
 
+def test_a_finished_scene_is_made_again_only_without_resume_or_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    quality, folder = Quality(1, 256, 1), tmp_path / "scene"
+    folder.mkdir()
+    work = work_folder(two_rooms(), quality)
+    work.mkdir(parents=True)
+    (work / "finished").write_text(str(folder.resolve()))
+    reports: list[str] = []
+
+    def make(target: Path, resume: bool) -> None:
+        make_scene(
+            two_rooms(),
+            quality,
+            target,
+            python="no-python",
+            resume=resume,
+            report=lambda text, _done, _left: reports.append(text),
+        )
+
+    make(folder, resume=True)
+    assert reports == ["finished before"]
+    with pytest.raises(SceneError, match="no-python"):
+        make(tmp_path / "elsewhere", resume=True)
+    with pytest.raises(SceneError, match="no-python"):
+        make(folder, resume=False)
+
+
 def test_a_python_without_blender_is_named() -> None:
     if importlib.util.find_spec("bpy") is not None:
         pytest.skip("SKIPPED: this Python has Blender")
@@ -435,11 +462,12 @@ def test_a_python_without_blender_is_named() -> None:
 def test_blender_bakes_two_rooms(tmp_path: Path) -> None:
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("SKIPPED: no Blender in this Python: pip install bpy")
-    write_plan(tmp_path / "plan.json", two_rooms(), Quality(1, 128, 1))
+    write_plan(tmp_path / "plan.json", two_rooms(), Quality(1, 256, 1))
     path = package_path()
     command = [sys.executable, "-m", "gibson_sim_tools.making.blender", str(tmp_path / "plan.json"), str(tmp_path)]
     subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": path}, capture_output=True)
     light = np.load(tmp_path / "light_0.npy").astype(float)
     seen = light[..., 3] > 0
     assert 0.2 < seen.mean() < 1.0
+    assert set(np.unique(light[..., 3])) == {-1.0, 0.0, 1.0}, "texels behind skirtings are hidden, those between charts empty"
     assert light[..., :3][seen].mean() > 0.01
