@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402
 from gibson_sim.cli.command_line import run  # noqa: E402
 from gibson_sim.client_config import RenderBagConfig  # noqa: E402
 from gibson_sim.config import RenderConfig  # noqa: E402
-from gibson_sim.description.shapes import Shape, VisualSpec  # noqa: E402
+from gibson_sim.description.shapes import Appearance, Shape, VisualSpec  # noqa: E402
 from gibson_sim.errors import ConfigError, SceneNotFoundError  # noqa: E402
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy  # noqa: E402
 from gibson_sim.render.renderer import Renderer  # noqa: E402
@@ -142,6 +142,31 @@ def test_cameras_of_the_bag_are_rendered_at_the_recorded_ticks(drawn: tuple[Path
     assert [time_from_msg(m.header.stamp) for m in images] == [STATES[tick - 1].stamp_ns for tick in ticks]
     for message, frame in zip(images, _expected(SCENES[1].cameras[0], ticks), strict=True):
         assert np.array_equal(image_to_array(message), frame.rgb)
+
+
+def test_a_bag_recorded_when_appearance_was_called_look_is_rendered(tmp_path: Path) -> None:
+    """The bytes are those of today; only the definitions in the bag have the old names."""
+    texts = {name: Path("src/gibson_msgs/msg", f"{name}.msg").read_text() for name in ("Appearance", "Visual")}
+    visual = texts["Visual"].replace("gibson_msgs/Appearance[<=1] appearance", "gibson_msgs/Look[<=1] look")
+    assert visual != texts["Visual"]
+    definitions = {"gibson_msgs/msg/Look": texts["Appearance"], "gibson_msgs/msg/Visual": visual}
+    red = replace(SCENES[1].visuals[1], color=(1.0, 0.0, 0.0, 1.0), appearance=Appearance(hue=1.0 / 3.0))
+    scene = replace(SCENES[1], visuals=(SCENES[1].visuals[0], red))
+    with BagWriter(tmp_path / "old", message_definitions=definitions, reserve_bytes=0) as bag:
+        bag.add_topic("/scene", "gibson_msgs/msg/Scene", TopicQos.latched())
+        bag.add_topic("/scene_state", "gibson_msgs/msg/SceneState")
+        bag.write("/scene", serialize_message(conversions.scene_to_msg(scene, 0)), 0, 0)
+        bag.write("/scene_state", serialize_message(conversions.scene_state_to_msg(STATES[0], (0,))), 1, 1)
+    (recorded,) = _messages(tmp_path / "old", "/scene")
+    assert recorded.visuals[1].look[0].hue == 1.0 / 3.0
+    assert conversions.scene_from_msg(recorded) == scene
+    render_bag(RenderBagConfig(bag=str(tmp_path / "old"), output=str(tmp_path / "new")), RENDER)
+    (written,) = _messages(tmp_path / "new", "/scene")
+    assert written.visuals[1].appearance[0].hue == 1.0 / 3.0
+    (image,) = _messages(tmp_path / "new", "/own/image_raw")
+    with Renderer(scene) as renderer:
+        (frame,) = renderer.render(STATES[0], scene.cameras)
+    assert np.array_equal(image_to_array(image), frame.rgb)
 
 
 def test_all_outputs_of_an_added_camera_equal_those_of_the_renderer(drawn: tuple[Path, Path]) -> None:

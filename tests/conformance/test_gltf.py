@@ -817,7 +817,7 @@ _EFFECTS = {
 
 def _with_rules(test: Callable[..., None]) -> Callable[..., None]:
     for name in _EFFECTS:
-        test = rule(FORMAT, name, "left out", "a warning where it changes the look")(test)
+        test = rule(FORMAT, name, "left out", "a warning where it changes the appearance")(test)
     return test
 
 

@@ -227,7 +227,7 @@ def test_a_mistake_in_the_light_is_named(tmp_path: Path, light: str, words: str)
     assert words in _refused(tmp_path / "scene", f"objects: [{{box: [1, 1, 1]}}]\nlight: {light}\n")
 
 
-def test_metal_and_roughness_of_an_object_become_its_look(tmp_path: Path) -> None:
+def test_metal_and_roughness_of_an_object_become_its_appearance(tmp_path: Path) -> None:
     first, second = _load(tmp_path, "objects: [{sphere: 1, metallic: 1, roughness: 0.2}, {sphere: 1}]\n").visuals
     assert (first.appearance, second.appearance) == (Appearance(metallic=1.0, roughness=0.2), None)
 

@@ -67,7 +67,7 @@ class Unread:
         self.same_names: dict[str, None] = {}
         """Elements whose names are not unique, with their number and place."""
 
-    def look(self, element: Element, where: str, key: str = "") -> None:
+    def visit(self, element: Element, where: str, key: str = "") -> None:
         """Collects the descendants of an element that have no effect.
 
         Args:
@@ -77,7 +77,7 @@ class Unread:
         """
         grammar = self._grammar
         if not key:
-            self._look_at_attributes(element)
+            self._visit_attributes(element)
         key = key or element.tag
         rows = grammar.children[key]
         for tag, count in Counter(child.tag for child in element).items():
@@ -98,10 +98,10 @@ class Unread:
             if tag in grammar.separate:
                 continue
             for read in child.iter() if tag == "geometry" else (child,):
-                self._look_at_attributes(read)
+                self._visit_attributes(read)
             inner = f"{key}/{tag}" if f"{key}/{tag}" in grammar.children else tag
             if inner in grammar.children:
-                self.look(child, grammar.place(child, where), inner)
+                self.visit(child, grammar.place(child, where), inner)
         if grammar.check is not None:
             grammar.check(self, element, key, where)
 
@@ -116,7 +116,7 @@ class Unread:
         for found in (self.omitted, self.unknown, self.attributes, self.repeated, self.same_names):
             found.clear()
 
-    def _look_at_attributes(self, element: Element) -> None:
+    def _visit_attributes(self, element: Element) -> None:
         known = self._grammar.attributes.get(element.tag)
         if known is None and self._grammar.others_have_attributes:
             return

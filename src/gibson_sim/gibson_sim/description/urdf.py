@@ -89,7 +89,7 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
     return _Reader(source, find or resolve_mesh).model(top)
 
 
-class _Look(NamedTuple):
+class _Material(NamedTuple):
     """Colour and texture of a material; neither = the material is not defined."""
 
     color: Rgba | None = None
@@ -104,7 +104,7 @@ class _Reader:
     def __init__(self, path: Path, find: FindMesh) -> None:
         self.path, self.find = path.absolute(), find
         self.warnings: list[str] = []
-        self.materials: dict[str, _Look] = {}
+        self.materials: dict[str, _Material] = {}
         """Named materials."""
         self.remarks: dict[str, list[str]] = {}
         """What is odd -> names of the elements: one warning each."""
@@ -139,14 +139,16 @@ class _Reader:
     def collect_materials(self, top: ET.Element) -> None:
         """Reads the named materials: those of the robot, then those within visuals, the first of each name, as ROS does."""
         for material in (*top.findall("material"), *top.findall("link/visual/material")):
-            name, look = material.get("name", ""), self.look(material)
-            if name and look != _Look() and self.materials.setdefault(name, look) != look:
+            name, defined = material.get("name", ""), self.defined_material(material)
+            if name and defined != _Material() and self.materials.setdefault(name, defined) != defined:
                 self.remark("materials are defined again with another colour; the first counts, as in ROS", quoted(name))
 
-    def look(self, material: ET.Element) -> _Look:
-        """Returns the look that a material itself defines."""
+    def defined_material(self, material: ET.Element) -> _Material:
+        """Returns what a <material> itself defines, not what one of its name does."""
         color, texture = material.find("color"), material.find("texture")
-        return _Look(None if color is None else self.rgba(color), "" if texture is None else texture.get("filename", "").strip())
+        return _Material(
+            None if color is None else self.rgba(color), "" if texture is None else texture.get("filename", "").strip()
+        )
 
     def sorted_links(self, links: list[UrdfLink], joints: list[UrdfJoint]) -> tuple[UrdfLink, ...]:
         """Returns the links, parents first; raises RobotError if they do not form one tree."""
@@ -209,8 +211,8 @@ class _Reader:
             shape = self.shape(item, f"{where}: visual")
             missing = missing or shape is None
             if shape is not None:
-                look = self.material(item.find("material"), where)
-                visuals.append(UrdfVisual(*without_up_axis(shape, self.origin(item, where)), look.color, look.texture))
+                material = self.material(item.find("material"), where)
+                visuals.append(UrdfVisual(*without_up_axis(shape, self.origin(item, where)), material.color, material.texture))
         collisions = []
         for item in element.findall("collision"):
             shape = self.shape(item, f"{where}: collision")
@@ -341,22 +343,24 @@ class _Reader:
         self.warnings.append(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
         return None
 
-    def material(self, element: ET.Element | None, where: str) -> _Look:
-        """Returns the look of a visual, whose texture is the absolute path of an image that exists."""
+    def material(self, element: ET.Element | None, where: str) -> _Material:
+        """Returns the material of a visual, whose texture is the absolute path of an image that exists."""
         if element is None:
-            return _Look()
+            return _Material()
         name = element.get("name", "")
-        look = self.materials.get(name, self.look(element)) if name else self.look(element)
-        if look == _Look():
+        material = self.defined_material(element)
+        if name:
+            material = self.materials.get(name, material)
+        if material == _Material():
             self.warnings.append(f"{self.path.name}: {where}: material {quoted(name)} is not defined; drawn without a colour")
-        if not look.texture:
-            return look
-        path = self.find(look.texture, self.path)
+        if not material.texture:
+            return material
+        path = self.find(material.texture, self.path)
         if path is None:
-            text = f"{self.path.name}: texture {look.texture} does not exist; left out"
+            text = f"{self.path.name}: texture {material.texture} does not exist; left out"
             if text not in self.warnings:
                 self.warnings.append(Omission(text, OmissionKind.MISSING_ASSET))
-        return _Look(look.color, "" if path is None else str(path))
+        return _Material(material.color, "" if path is None else str(path))
 
     def rgba(self, element: ET.Element) -> Rgba:
         values = self.numbers(element, "rgba", 4, "material")

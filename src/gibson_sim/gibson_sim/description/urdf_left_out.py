@@ -67,7 +67,7 @@ def left_out(top: ET.Element, source: str) -> list[str]:
         source: Name of the file, for the lines.
     """
     found = Unread(_GRAMMAR)
-    found.look(top, "the robot")
+    found.visit(top, "the robot")
     lines = []
     if found.omitted:
         parts = ", ".join(f"{one.tags.total()} <{', '.join(one.tags)}> ({why})" for why, one in found.omitted.items())

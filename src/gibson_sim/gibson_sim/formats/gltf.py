@@ -682,7 +682,7 @@ class _GltfReader:
         return self._materials[index], mapping[0], _uv_matrix(mapping[1])
 
     def _warn_of_extensions(self, name: str, source: dict[str, Any]) -> None:
-        """Warns of extensions of a material that change its look and are left out."""
+        """Warns of extensions of a material that change its appearance and are left out."""
         extensions = source.get("extensions", {})
         for extension, values in extensions.items():
             key, neutral, change = _MATERIAL_EXTENSIONS.get(extension, ("", None, "what it adds or changes is left out"))

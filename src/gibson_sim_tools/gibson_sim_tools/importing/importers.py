@@ -358,10 +358,10 @@ def collisions_by_visual(spec: SceneSpec) -> dict[str, list[CollisionSpec]]:
 
 def _object(visual: VisualSpec, collisions: list[CollisionSpec], loader: MeshLoader) -> ImportedObject:
     shape, scale = _shape(visual.shape)
-    look = Appearance() if visual.appearance is None else visual.appearance
+    appearance = Appearance() if visual.appearance is None else visual.appearance
     item = ImportedObject(
         visual.name, shape, visual.pose, scale, semantic_class=visual.semantic_class, color=visual.color, collision="none",
-        metallic=look.metallic, roughness=look.roughness, friction=collisions[0].friction if collisions else 1.0,
+        metallic=appearance.metallic, roughness=appearance.roughness, friction=collisions[0].friction if collisions else 1.0,
     )  # fmt: skip
     if not collisions:
         return item

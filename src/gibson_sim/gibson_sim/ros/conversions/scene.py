@@ -13,11 +13,11 @@ from nav_msgs.msg import MapMetaData, OccupancyGrid
 from std_msgs.msg import ColorRGBA
 
 from gibson_msgs.msg import (
+    Appearance as RosAppearance,
     Camera as RosCamera,
     DepthNoise as RosDepthNoise,
     ImageEffects as RosImageEffects,
     Light as RosLight,
-    Look as RosLook,
     PointLight as RosPointLight,
     Scene as RosScene,
     SceneState as RosSceneState,
@@ -118,6 +118,8 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
                 f"scene {quoted(msg.name)}: visual {quoted(v.name)} has shape {v.shape}, known: {sorted(_SHAPE_KINDS)}"
             )
         color = (v.color.r, v.color.g, v.color.b, v.color.a) if v.color.a > 0 else None
+        # Bags recorded before the field was renamed have ``look`` in their own definition of the type.
+        appearance = v.appearance if hasattr(v, "appearance") else v.look
         semantic_class = name_at(classes, v.semantic_class, "semantic class")
         visuals.append(
             VisualSpec(
@@ -127,7 +129,7 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
                 pose=pose_from_msg(v.pose),
                 color=color,
                 semantic_class="" if semantic_class == UNLABELLED else semantic_class,
-                appearance=_appearance_from_msg(v.look[0]) if v.look else None,
+                appearance=_appearance_from_msg(appearance[0]) if appearance else None,
             )
         )
     cameras = tuple(_camera_from_msg(c, link_name(c.link)) for c in msg.cameras)
@@ -188,7 +190,7 @@ def _visual_to_msg(visual: VisualSpec, link: int, semantic_class: int) -> RosVis
         pose=pose_to_msg(visual.pose),
         color=_color_to_msg(visual.color or (0.0, 0.0, 0.0, 0.0)),
         semantic_class=semantic_class,
-        look=[] if visual.appearance is None else [_appearance_to_msg(visual.appearance)],
+        appearance=[] if visual.appearance is None else [_appearance_to_msg(visual.appearance)],
     )
 
 
@@ -196,8 +198,8 @@ def _color_to_msg(rgba: tuple[float, float, float, float]) -> ColorRGBA:
     return ColorRGBA(r=float(rgba[0]), g=float(rgba[1]), b=float(rgba[2]), a=float(rgba[3]))
 
 
-def _appearance_to_msg(appearance: Appearance) -> RosLook:
-    msg = RosLook(hue=appearance.hue, saturation=appearance.saturation, value=appearance.value)
+def _appearance_to_msg(appearance: Appearance) -> RosAppearance:
+    msg = RosAppearance(hue=appearance.hue, saturation=appearance.saturation, value=appearance.value)
     msg.metallic = math.nan if appearance.metallic is None else appearance.metallic
     msg.roughness = math.nan if appearance.roughness is None else appearance.roughness
     if appearance.pattern is not None:
@@ -207,7 +209,7 @@ def _appearance_to_msg(appearance: Appearance) -> RosLook:
     return msg
 
 
-def _appearance_from_msg(msg: RosLook) -> Appearance:
+def _appearance_from_msg(msg: RosAppearance) -> Appearance:
     pattern = None
     if msg.pattern:
         colors = (_triple(msg.pattern_colors[:3]), _triple(msg.pattern_colors[3:]))

@@ -22,7 +22,7 @@ from gibson_sim.scenes.mass_properties import solid_of, sum_of
 from gibson_sim.scenes.sdf.elements import F64, Element, is_true, name_of, numbers, pose_matrix, text_of
 from gibson_sim.scenes.sdf.geometry import PlacedShape
 from gibson_sim.scenes.sdf.joints import JointAxis, read_axis
-from gibson_sim.scenes.sdf.materials import is_visible, look_of
+from gibson_sim.scenes.sdf.materials import is_visible, material_of
 from gibson_sim.scenes.sdf.model import SdfModels, friction_of
 from gibson_sim.scenes.sdf.scopes import MODEL, WORLD, Scope
 from gibson_sim.types import Pose, Vec3
@@ -132,9 +132,9 @@ class SdfBodyReader:
                 for placed in self._shapes(link, item, name):
                     pose = pose_from_matrix(placed.matrix)
                     if visible:
-                        look = look_of(item, self.builder.has_textures(placed.shape), where, self.builder.warn)
-                        visuals.append(UrdfVisual(placed.shape, pose, look.color))
-                        if look.appearance is not None:
+                        material = material_of(item, self.builder.has_textures(placed.shape), where, self.builder.warn)
+                        visuals.append(UrdfVisual(placed.shape, pose, material.color))
+                        if material.appearance is not None:
                             self.builder.warn(f"{where}: metalness and roughness of a body's material are not drawn")
                     if not has_collision:
                         collisions.append(UrdfCollision(placed.shape, pose))

@@ -215,9 +215,9 @@ class LeftOut:
     def __init__(self) -> None:
         self._found = Unread(_GRAMMAR)
 
-    def look(self, element: Element, where: str) -> None:
+    def visit(self, element: Element, where: str) -> None:
         """Collects the descendants of an element that have no effect, except nested models; ``where``: what it is part of, for the warnings."""
-        self._found.look(element, where)
+        self._found.visit(element, where)
 
     def report(self, warn: Warn) -> None:
         """Passes on one warning for each reason, and one for the elements that SDF does not have, and forgets them."""

@@ -23,7 +23,7 @@ _INVISIBLE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class DrawnMaterial:
     """How a visual is drawn."""
 
     color: Rgba | None
@@ -37,7 +37,7 @@ def is_visible(element: Element) -> bool:
     return _opacity(element) >= _INVISIBLE
 
 
-def look_of(element: Element, textured: bool, where: str, warn: Warn) -> Look:
+def material_of(element: Element, textured: bool, where: str, warn: Warn) -> DrawnMaterial:
     """Returns how a <visual> is drawn, and warns about the parts of its material that are not.
 
     Args:
@@ -49,7 +49,7 @@ def look_of(element: Element, textured: bool, where: str, warn: Warn) -> Look:
     alpha = _opacity(element)
     material = element.find("material")
     if material is None:
-        return Look(_with_opacity(element, None, alpha, where, warn))
+        return DrawnMaterial(_with_opacity(element, None, alpha, where, warn))
     script = text_of(material, "script/name")
     colors = {tag: _color(material, tag, where, warn) for tag in ("ambient", "diffuse", "emissive")}
     if script.removeprefix("Gazebo/") not in _SCRIPT_COLORS and script and colors["diffuse"] is None:
@@ -60,7 +60,7 @@ def look_of(element: Element, textured: bool, where: str, warn: Warn) -> Look:
         warn(f"{where}: {text}", OmissionKind.UNSUPPORTED_ASSET)
     _name_textures(material, textured, where, warn)
     base = _base_color(element, colors, textured, where, warn)
-    return Look(_with_opacity(element, base, alpha, where, warn), _appearance(material, where, warn))
+    return DrawnMaterial(_with_opacity(element, base, alpha, where, warn), _appearance(material, where, warn))
 
 
 def _with_opacity(element: Element, base: Rgba | None, alpha: float, where: str, warn: Warn) -> Rgba | None:

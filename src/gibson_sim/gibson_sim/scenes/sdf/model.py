@@ -31,7 +31,7 @@ from gibson_sim.scenes.sdf.elements import (
 )  # fmt: skip
 from gibson_sim.scenes.sdf.geometry import PlacedShape, SdfShapes
 from gibson_sim.scenes.sdf.left_out import LeftOut, listed
-from gibson_sim.scenes.sdf.materials import is_visible, look_of
+from gibson_sim.scenes.sdf.materials import is_visible, material_of
 from gibson_sim.scenes.sdf.scopes import WORLD, Frame, Scope, reference_of
 from gibson_sim.types import Rgba
 
@@ -105,7 +105,7 @@ class SdfModels:
         """Adds the frames and nested models of a scope."""
         if scope.element.tag == "model":
             self._count_model(scope.where, depth)
-            self.left_out.look(scope.element, scope.where)
+            self.left_out.visit(scope.element, scope.where)
         for child in scope.element:
             if child.tag in ("link", "frame", "joint") and not (child.tag == "link" and scope.element.tag == WORLD):
                 scope.add(name_of(child), Frame(child, scope))
@@ -307,8 +307,8 @@ class SdfModels:
         for item in self.shapes.read(scope, element, T_world_scope, T_world_link, where):
             handled = True
             if visible:
-                look = look_of(element, self.builder.has_textures(item.shape), where, self.builder.warn)
-                self.builder.add_visual(top, item.shape, item.matrix, look.color, kind, look.appearance)
+                material = material_of(element, self.builder.has_textures(item.shape), where, self.builder.warn)
+                self.builder.add_visual(top, item.shape, item.matrix, material.color, kind, material.appearance)
             if collides:
                 self.builder.add_collision(top, item.shape, item.matrix)
         return handled

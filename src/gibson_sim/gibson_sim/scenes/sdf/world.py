@@ -75,7 +75,7 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
         elif child.tag in ("actor", "population", "road"):
             text = f"<{child.tag}> {quoted(child.get('name', ''))} is not supported; left out"
             builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
-    models.left_out.look(world, f"world {scope.name}")
+    models.left_out.visit(world, f"world {scope.name}")
     models.report()
     _name_moving(builder, scope)
     lights = [(light, scope.placed(light)) for light in world.iterfind("light")]

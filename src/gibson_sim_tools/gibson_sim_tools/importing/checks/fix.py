@@ -339,10 +339,10 @@ def _repaired_objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Seq
     for visual in scene.visuals:
         mesh = _repaired(loader, visual.shape, matrix @ matrix_from_pose(visual.pose), textures)
         shapes = shapes_by_visual.get(visual.name, [])
-        look = Appearance() if visual.appearance is None else visual.appearance
+        appearance = Appearance() if visual.appearance is None else visual.appearance
         item = ImportedObject(
-            visual.name, mesh, semantic_class=visual.semantic_class, color=visual.color, collision="none", metallic=look.metallic,
-            roughness=look.roughness, friction=shapes[0].friction if shapes else 1.0,
+            visual.name, mesh, semantic_class=visual.semantic_class, color=visual.color, collision="none", metallic=appearance.metallic,
+            roughness=appearance.roughness, friction=shapes[0].friction if shapes else 1.0,
         )  # fmt: skip
         if len(shapes) == 1 and shapes[0].shape == visual.shape and shapes[0].pose == visual.pose:
             item = replace(item, collision="same")
