@@ -65,6 +65,21 @@ def median_filtered(image: F32) -> F32:
     return np.asarray(np.median([padded[j : j + height, i : i + width] for j in range(3) for i in range(3)], axis=0))
 
 
+def limit_outliers(image: F32) -> F32:
+    """Returns an image, (H, W, C), without single pixels far brighter than their neighbours, which a denoiser would spread to a stain.
+
+    Each value is at most 3 times the second largest of the eight around it.
+    """
+    padded = np.pad(image, [(1, 1), (1, 1), (0, 0)], mode="edge")
+    height, width = image.shape[:2]
+    around = [padded[j : j + height, i : i + width] for j in range(3) for i in range(3) if (j, i) != (1, 1)]
+    largest, second = around[0], np.full_like(image, -np.inf)
+    for values in around[1:]:
+        second = np.maximum(second, np.minimum(largest, values))
+        largest = np.maximum(largest, values)
+    return np.asarray(np.minimum(image, 3.0 * second))
+
+
 def _nearest(covered: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
     """Returns row and column of the nearest covered pixel of each pixel, and whether one is within about ``_SEARCH_RADIUS``, by jump flooding.
 

@@ -54,6 +54,7 @@ from gibson_sim_tools.making.pixels import (
     fill_gaps,
     fill_gaps_mirrored,
     hidden_texels,
+    limit_outliers,
     median_filtered,
     tone_map,
 )
@@ -222,6 +223,17 @@ def test_the_median_removes_noise_and_keeps_the_edge_of_a_half_covered_row() -> 
     noisy = image.copy()
     noisy[3, 4], noisy[1, 2] = 0.95, 0.8
     assert np.array_equal(median_filtered(noisy), image)
+
+
+def test_a_single_bright_pixel_is_dimmed_and_the_edge_of_a_sun_patch_is_kept() -> None:
+    image = np.ones((8, 12, 1), dtype=np.float32)
+    image[:, 8:] = 9.0
+    noisy = image.copy()
+    noisy[4, 3] = 40.0
+    limited = limit_outliers(noisy)
+    assert limited[4, 3, 0] == pytest.approx(3.0)
+    limited[4, 3] = 1.0
+    assert np.array_equal(limited, image)
 
 
 def test_gaps_show_their_surroundings_mirrored_at_their_edges() -> None:

@@ -21,7 +21,7 @@ from gibson_sim_tools.making.blender.bake import BakedStage
 from gibson_sim_tools.making.blender.denoise import denoise
 from gibson_sim_tools.making.blender.mirrors import mirrors_of, reflection
 from gibson_sim_tools.making.building import Quality, read_plan
-from gibson_sim_tools.making.pixels import fill_gaps_mirrored
+from gibson_sim_tools.making.pixels import fill_gaps_mirrored, limit_outliers
 
 _LAST_FACTOR = 1.5
 """Factor of the samples of the last light map."""
@@ -65,7 +65,7 @@ def _bake_all(stage: BakedStage, quality: Quality, missing: list[int], work: Pat
         is_last = atlas == quality.atlases - 1 > 0
         image = stage.light(atlas, round(quality.samples * (_LAST_FACTOR if is_last else 1.0)))
         covered = image[..., 3] > 0.5
-        image[..., :3] = denoise(fill_gaps_mirrored(image[..., :3], covered))
+        image[..., :3] = denoise(limit_outliers(fill_gaps_mirrored(image[..., :3], covered)))
         part = work / f"light_{atlas}.part.npy"
         np.save(part, np.concatenate([image[..., :3], np.round(image[..., 3:])], axis=-1).astype(np.float32))
         os.replace(part, work / f"light_{atlas}.npy")
