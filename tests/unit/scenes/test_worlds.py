@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.formats.splats import splats_ply
+from gibson_sim.scenes import worlds
 from gibson_sim.scenes.worlds import WorldError, WorldFailure, absolute_uri, find_worlds, load_world
 from support.scenes import write_room, write_square_obj, write_triangle_glb
 from support.splat_files import random_splats
@@ -120,6 +121,16 @@ def test_missing_and_broken_meshes_of_scene_yaml_are_distinguished(tmp_path: Pat
     assert _error(str(path)).code is CODES.MISSING_ASSETS
     (tmp_path / "a.obj").write_text("v 1 x\n")
     assert _error(str(path)).code is CODES.UNSUPPORTED_ASSETS
+
+
+def test_a_mesh_that_is_too_large_is_an_unsupported_asset_of_a_loaded_world(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worlds, "MAX_BYTES", 100)
+    path = _write(tmp_path / "scene.yaml", "objects: [{mesh: a.obj}]\n")
+    (tmp_path / "a.obj").write_text("v 0 0 0\n" * 13)
+    error = _error(str(path))
+    assert error.code is CODES.UNSUPPORTED_ASSETS and "it is too large" in str(error)
 
 
 def test_splats_are_checked_to_the_last_number_before_a_world_counts_as_loaded(tmp_path: Path) -> None:

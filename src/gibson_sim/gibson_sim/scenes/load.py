@@ -51,13 +51,14 @@ def load_scene(name_or_path: str | Path, *, sdf_lamps: bool = False) -> SceneSpe
     return finish(read_scene(given, description_file(given), sdf_lamps=sdf_lamps))
 
 
-def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False) -> SceneBuilder:
+def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False, max_bytes: int | None = None) -> SceneBuilder:
     """Returns a builder with all elements of a scene's description.
 
     Args:
         given: file or folder that the user named.
         file: its description (``description_file``).
         sdf_lamps: as for ``load_scene``.
+        max_bytes: maximum size of a mesh file, bytes; None = unlimited.
 
     Raises:
         SceneNotFoundError: the format of the file is not supported.
@@ -65,7 +66,7 @@ def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False) -> SceneBuil
     """
     reader, root = reader_and_root(file, given)
     name = given.name if is_folder(given) else file.parent.name if file.name == DESCRIPTION else file.name.split(".")[0]
-    builder = SceneBuilder(name, root, description=file, environment=reader is read_sdf_world)
+    builder = SceneBuilder(name, root, description=file, environment=reader is read_sdf_world, max_bytes=max_bytes)
     builder.sdf_lamps = sdf_lamps
     reader(builder, file)
     return builder

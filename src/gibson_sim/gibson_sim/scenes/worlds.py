@@ -198,7 +198,7 @@ def _read_uri(uri: str) -> SceneBuilder:
         check_file(file, MAX_BYTES if file.suffix.lower() in MESH_SUFFIXES else MAX_TEXT_BYTES)
     except SceneError as e:
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, str(e)) from e
-    return read_scene(path, file)
+    return read_scene(path, file, max_bytes=MAX_BYTES)
 
 
 def _read_text(text: str) -> SceneBuilder:
@@ -217,7 +217,7 @@ def _read_text(text: str) -> SceneBuilder:
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None
     if world is None:
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: holds no <world>; give an <sdf> with a <world>")
-    builder = SceneBuilder(world.get("name", "").strip() or "world", TEXT_FOLDER, environment=True)
+    builder = SceneBuilder(world.get("name", "").strip() or "world", TEXT_FOLDER, environment=True, max_bytes=MAX_BYTES)
     builder.add_text(text)
     place_world(builder, root, _TEXT)
     return builder

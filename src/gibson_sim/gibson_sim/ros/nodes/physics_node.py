@@ -179,6 +179,7 @@ class PhysicsNode(Node):
             self._stats.remove_robot(robot_topics)
             robot_topics.close()
         if world is None:
+            self._world_topics.withdraw_maps()
             return
         self._stats.begin_scene(world.scene.name)
         for robot in world.scene.robots:

@@ -37,6 +37,30 @@ _Published = list[tuple[Publisher, bytes]]
 """Serialized messages, each with the publisher that has sent it."""
 
 
+class CommandQueue:
+    """Commands of several topics in the order of their arrival: of each topic the newest ``qos.MAX_COMMANDS``."""
+
+    def __init__(self) -> None:
+        self._commands: deque[tuple[str, Any]] = deque()
+
+    def append(self, topic: str, msg: Any) -> None:
+        """Appends a command; drops the oldest of its topic if that has too many."""
+        waiting = [index for index, (other, _) in enumerate(self._commands) if other == topic]
+        if len(waiting) >= qos.MAX_COMMANDS:
+            del self._commands[waiting[0]]
+        self._commands.append((topic, msg))
+
+    def take(self) -> list[tuple[str, Any]]:
+        """Returns topic and message of all commands, the oldest first, and empties the queue."""
+        commands = list(self._commands)
+        self._commands.clear()
+        return commands
+
+    def clear(self) -> None:
+        """Drops all commands."""
+        self._commands.clear()
+
+
 class RobotInterface:
     """Applies the commands of a robot, and publishes its state and measurements. All names are relative to its namespace.
 
@@ -85,8 +109,8 @@ class RobotInterface:
         self._publishers: list[Publisher] = []
         self._make_publishers()
         self.sensors = SensorSuite(robot, config.time.step_hz, config.time.publish_hz, world.scene.gravity, config.world.seed)
-        self._received_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MAX_COMMANDS)
-        self._due_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MAX_COMMANDS)
+        self._received_commands = CommandQueue()
+        self._due_commands: deque[tuple[str, Any]] = deque()
         self._applied: list[TwistStamped] = []
         self._on_received = on_received
         self._subscriptions = [
@@ -130,7 +154,7 @@ class RobotInterface:
         if topic in self._arms.command_topics:
             self._arms.receive_command(topic, msg)
         else:
-            self._received_commands.append((topic, msg))
+            self._received_commands.append(topic, msg)
 
     def topics_of_tick(self, measured: Measurements) -> set[str]:
         """Returns the topics that are published at a tick with these measurements, without leading slashes."""
@@ -192,8 +216,7 @@ class RobotInterface:
 
     def latch_commands(self) -> None:
         """Makes all commands received so far due at the next step; later commands are due at later steps."""
-        for _ in range(len(self._received_commands)):
-            self._due_commands.append(self._received_commands.popleft())
+        self._due_commands.extend(self._received_commands.take())
         self._arms.latch_commands()
 
     def apply_commands(self, world: PhysicsWorld, journal: Journal) -> None:

@@ -133,8 +133,7 @@ class WorldInterface:
 
     def publish_map(self, world: PhysicsWorld) -> None:
         """Publishes the maps of the world's floors; publishes the topic ``map`` only while it has no other publisher."""
-        self._destroy_maps()
-        self._map = None
+        self.withdraw_maps()
         if self._config.topics.map == "off":
             return
         scene = world.scene
@@ -173,7 +172,9 @@ class WorldInterface:
         self._maps[topic] = self._node.create_publisher(OccupancyGrid, topic, **qos.overridable(qos.LATCHED))
         self._maps[topic].publish(message)
 
-    def _destroy_maps(self) -> None:
+    def withdraw_maps(self) -> None:
+        """Destroys the publishers of all maps: a subscriber that comes later gets none."""
+        self._map = None
         while self._maps:
             self._node.destroy_publisher(self._maps.popitem()[1])
 
