@@ -38,8 +38,8 @@ run: setup
 
 # The first run takes the files in their order, physics and pictures before the unit tests: by number of tests, as is usual, long files of few
 # tests would come last, and one of them would run alone. Tests that start nodes as processes mostly wait: for time that passes, for nodes that
-# find each other. So two files of them run at a time, each in a ROS domain of its own. No failed test gets a second
-# attempt. The failures of both runs are the last lines of the output. Each process runs linear
+# find each other. So two files of them run at a time, each in a ROS domain of its own. A failed test gets a second attempt; a first failure is
+# printed at the end as FLAKY and needs a fix all the same. The failures of both runs are the last lines of the output. Each process runs linear
 # algebra in one thread: several processes with as many threads as cores wait for each other, which doubles the time of some tests.
 NODES := tests/ros tests/acceptance
 FAILURES := .pytest_cache/failures
@@ -48,7 +48,7 @@ ifeq ($(strip $(PYTEST_ARGS)),)
 test: setup
 	@code=0; rm -f $(FAILURES); mkdir -p $(dir $(FAILURES)); export GIBSON_SIM_TEST_FAILURES='$(CURDIR)/$(FAILURES)' OPENBLAS_NUM_THREADS=1; \
 	'$(BIN)/python' -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(NODES:%=--ignore=%) || code=$$?; \
-	'$(BIN)/python' -m pytest -n auto --maxprocesses 2 --dist loadfile --durations 20 $(NODES) || code=$$?; \
+	'$(BIN)/python' -m pytest -n auto --maxprocesses 2 --dist loadfile --reruns 1 --durations 20 $(NODES) || code=$$?; \
 	cat $(FAILURES) 2>/dev/null; exit $$code
 else
 test: setup

@@ -122,7 +122,7 @@ def other_listener(ros_domain: int) -> Iterator[Listener]:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fails a strict run that skipped what this machine can do; notes all failures in a file."""
+    """Fails a strict run that skipped what this machine can do, or that needed an unexplained second attempt; notes all failures in a file."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is None or hasattr(session.config, "workerinput"):
         return
@@ -135,7 +135,10 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Shows what a strict run refuses."""
+    """Shows what failed at the first attempt and not at the second, and what a strict run refuses."""
+    for report in terminalreporter.stats.get("rerun", ()):
+        terminalreporter.section(f"FLAKY: {report.nodeid} failed at its first attempt", yellow=True)
+        terminalreporter.line(report.longreprtext)
     if os.environ.get(strict.VARIABLE):
         for line in strict.faults(terminalreporter.stats):
             terminalreporter.line(f"REFUSED: {line}", red=True)

@@ -67,7 +67,7 @@ setup(
         "xacro",
     ],
     extras_require={
-        "test": ["pytest", "pytest-xdist", "hypothesis"],
+        "test": ["pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis"],
         "cuda": ["cuda-bindings>=12.6"],
         "torch": ["torch>=2.3"],
         "lerobot": ["pyarrow>=15"],

@@ -23,6 +23,13 @@ def test_a_skip_for_a_missing_optional_resource_is_allowed(reason: str) -> None:
     assert not strict.refused_skip(reason)
 
 
+def test_a_few_second_attempts_are_allowed_and_more_are_refused() -> None:
+    reports = [SimpleNamespace(nodeid=f"tests/x.py::test_{k}") for k in range(strict.ALLOWED_SECOND_ATTEMPTS)]
+    assert strict.faults({"rerun": reports}) == []
+    faults = strict.faults({"rerun": [*reports, SimpleNamespace(nodeid="tests/x.py::test_new")]})
+    assert len(faults) == 4 and "tests/x.py::test_new needed a second attempt, as 4 tests did, at most 3 may: mend it" in faults
+
+
 def test_each_failure_is_one_line_with_its_reason() -> None:
     failed = SimpleNamespace(
         nodeid="tests/unit/test_a.py::test_b",
