@@ -34,6 +34,8 @@ from gibson_sim_tools.tracing.plans import check_plan, plan_of_scene
 
 _NOT_SEEN = ("bake.py", "__main__.py", "charts.py")
 """Modules of ``making.blender`` on which a traced picture does not depend."""
+_SEEN_BESIDE = ("tiles.py",)
+"""Modules of ``making``, outside ``blender``, on which it depends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,12 +124,18 @@ def _digest(scene: TracedScene) -> str:
 
 def _code_digest() -> str:
     """Returns a digest of the modules on which the pictures depend, without comments and docstrings."""
-    folder = Path(making.__path__[0]) / "blender"
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        if path.name not in _NOT_SEEN and "objects" not in path.relative_to(folder).parts:
-            digest.update(code_text(path.read_text(encoding="utf-8")).encode())
+    for path in code_files():
+        digest.update(code_text(path.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()
+
+
+def code_files() -> list[Path]:
+    """Returns the modules of ``making`` on which the pictures depend."""
+    folder = Path(making.__path__[0])
+    blender = folder / "blender"
+    found = [path for path in sorted(blender.rglob("*.py")) if "objects" not in path.relative_to(blender).parts]
+    return [*(path for path in found if path.name not in _NOT_SEEN), *(folder / name for name in _SEEN_BESIDE)]
 
 
 def code_text(source: str) -> str:

@@ -23,7 +23,7 @@ from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight, SceneSpec,
 from gibson_sim.types import CameraSpec, Pose, SceneState
 from gibson_sim_tools.making.building import read_plan
 from gibson_sim_tools.making.pixels import tone_map
-from gibson_sim_tools.tracing.export import code_text, traced_scene, write_traced_scene
+from gibson_sim_tools.tracing.export import code_files, code_text, traced_scene, write_traced_scene
 from gibson_sim_tools.tracing.pictures import Outside, curve_of, developed, exposure_samples, fit_exposure, noise_of
 from gibson_sim_tools.tracing.plans import check_plan, plan_of_scene
 from gibson_sim_tools.tracing.tracer import CyclesTracer, TracedPicture, check_camera, picture_key
@@ -152,6 +152,12 @@ def test_comments_docstrings_and_layout_are_no_part_of_the_code() -> None:
     first = 'def f(x):\n    """Adds one."""\n    return x + 1  # one\n'
     assert code_text(first) == code_text("def f( x ):\n    return x+1\n")
     assert code_text(first) != code_text("def f(x):\n    return x + 2\n")
+
+
+def test_the_code_that_draws_tiles_counts_and_that_of_the_bake_does_not() -> None:
+    names = {path.name for path in code_files()}
+    assert {"tiles.py", "stage.py", "trace.py", "traced_materials.py"} <= names
+    assert not {"bake.py", "charts.py"} & names
 
 
 # Cameras and the cache
