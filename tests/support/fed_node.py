@@ -106,10 +106,12 @@ class FedNode:
         executor = SingleThreadedExecutor(context=self.node.context)
         executor.add_node(self.node)
         deadline = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s"
-            executor.spin_once(timeout_sec=0.05)
-        executor.shutdown(timeout_sec=PATIENCE_S)
+        try:
+            while not condition():
+                assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s"
+                executor.spin_once(timeout_sec=0.05)
+        finally:
+            executor.shutdown(timeout_sec=PATIENCE_S)
 
     def close(self) -> None:
         self.node.destroy_node()
