@@ -10,12 +10,16 @@ import pytest
 
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import SceneError
+from gibson_sim.formats.glb import Z_UP_TO_Y_UP, GlbBuilder
+from gibson_sim.formats.light_maps import light_map_png
 from gibson_sim.formats.load_mesh import load_mesh, primitive_mesh
 from gibson_sim.formats.mesh import MeshPart, area_normals
+from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.render.culling.closed_surfaces import find_closed_surfaces
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_bench.memory import drift, growth
 from gibson_sim_bench.scenes.scan_like_mesh import make_scan_like_mesh, subdivided, without_closed_surfaces
+from gibson_sim_tools.making.pixels import tone_map
 
 CORNERS = np.array([[0.0, 0, 0], [4, 0, 0], [4, 1, 0], [0, 1, 0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -79,6 +83,38 @@ def test_a_scan_is_one_uneven_mesh_with_one_texture_that_shows_what_was_there(tm
 def test_a_repeated_texture_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="repeated"):
         make_scan_like_mesh(load_scene(_scene(tmp_path, 3.0)), 400, tmp_path)
+
+
+def test_a_repeated_texture_below_a_light_map_is_drawn_with_its_light(tmp_path: Path) -> None:
+    builder = GlbBuilder()
+    ok, picture = cv2.imencode(".png", np.full((8, 8, 3), (40, 100, 200), dtype=np.uint8))
+    assert ok
+    radiance = np.repeat(np.array([[[0.2] * 3] * 4, [[0.8] * 3] * 4]), 2, axis=0)  # changes half-way along v, as y
+    base = {"baseColorTexture": {"index": builder.texture_data(picture.tobytes())}}
+    material = builder.light_mapped_material(
+        {"pbrMetallicRoughness": base}, builder.texture_data(light_map_png(radiance, 1.0)), 1.0
+    )
+    corners = CORNERS[:, :2] / (4.0, 1.0)
+    attributes = {
+        "POSITION": builder.attribute(CORNERS * (1.0, 4.0, 1.0), bounds=True),
+        "TEXCOORD_0": builder.attribute(5.0 * corners),
+        "TEXCOORD_1": builder.attribute(corners * 65535, "u2", normalized=True),
+    }
+    builder.primitive(attributes, builder.indices(TRIANGLES), material)
+    for folder in ("from", "to"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "from" / "a.glb").write_bytes(builder.to_bytes("a", Z_UP_TO_Y_UP.astype(float)))
+    (tmp_path / "from" / "scene.yaml").write_text(
+        "name: lit\nfloor_z: 0.0\nobjects:\n- {name: a, mesh: a.glb, semantic_class: floor}\n"
+    )
+    make_scan_like_mesh(load_scene(tmp_path / "from"), 400, tmp_path / "to")
+    (part,) = load_mesh(tmp_path / "to" / "mesh.glb", [tmp_path / "to"]).parts
+    pixels, uvs = part.material.texture.pixels, part.uvs
+    rows, columns = (uvs[:, 1] * pixels.shape[0]).astype(int), (uvs[:, 0] * pixels.shape[1]).astype(int)
+    seen = pixels[rows.clip(0, pixels.shape[0] - 1), columns.clip(0, pixels.shape[1] - 1)].astype(int)
+    color = linear_from_srgb(np.array([200, 100, 40]) / 255.0)
+    for half, light in ((part.vertices[:, 1] < 1.2, 0.2), (part.vertices[:, 1] > 2.8, 0.8)):
+        assert np.abs(np.median(seen[half], axis=0) - tone_map(light * color)).max() <= 4
 
 
 def test_growth_and_drift_compare_the_last_third_with_the_first_after_the_warm_up() -> None:

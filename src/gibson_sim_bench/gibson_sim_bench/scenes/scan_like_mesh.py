@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,9 @@ from gibson_sim.scenes.scene_yaml import write_scene_yaml
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim_tools.generator.gltf import MeshBuilder, MeshMaterial, write_glb
 from gibson_sim_tools.generator.rooms import wobble
+from gibson_sim_tools.making.pixels import fill_gaps
+from gibson_sim_tools.making.splats import colors_of
+from gibson_sim_tools.texturing.rasteriser import barycentric, rasterise_2d
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -40,7 +44,7 @@ def make_scan_like_mesh(scene: SceneSpec, triangles: int, folder: Path) -> int:
     """Writes scene.yaml, mesh.glb and atlas.jpg with a scene's static visuals; returns the number of triangles.
 
     Args:
-        scene: the scene; all materials become opaque, and textures must not repeat.
+        scene: the scene; all materials become opaque, and textures must not repeat except below a light map.
         triangles: minimum number of triangles; surfaces are subdivided to reach it.
         folder: an existing folder.
 
@@ -75,6 +79,7 @@ def _merged_visuals(scene: SceneSpec) -> tuple[F64, F64, I64, NDArray[np.uint8]]
         found += [(T, part) for part in loader.shape(visual.shape).parts]
     if not found:
         raise SceneError(f"{scene.name}: has no static visuals, from which a scan-like mesh could be made")
+    found = _with_light(found)
     textures = list({id(p.material.texture): p.material.texture for _, p in found if p.material.texture is not None}.values())
     atlas = _Atlas(textures, sorted({p.material.base_color[:3] for _, p in found if p.material.texture is None}))
     vertices = [part.vertices @ T[:3, :3].T + T[:3, 3] for T, part in found]
@@ -82,6 +87,36 @@ def _merged_visuals(scene: SceneSpec) -> tuple[F64, F64, I64, NDArray[np.uint8]]
     faces = [part.triangles.astype(np.int64) + first for (_, part), first in zip(found, first_vertex, strict=False)]
     uvs = [atlas.uvs(scene.name, part) for _, part in found]
     return np.concatenate(vertices), np.concatenate(uvs), np.concatenate(faces), atlas.pixels
+
+
+def _with_light(placed_parts: list[tuple[F64, MeshPart]]) -> list[tuple[F64, MeshPart]]:
+    """Returns the parts; those of a light map share a picture in its coordinates: base colour times light."""
+    groups: dict[int, list[MeshPart]] = {}
+    for _, part in placed_parts:
+        if part.material.light_map is not None and part.light_uvs is not None:
+            groups.setdefault(id(part.material.light_map), []).append(part)
+    pictures = {key: TextureSource("light", _lit_picture(parts)) for key, parts in groups.items()}
+    lit = {id(part): pictures[key] for key, parts in groups.items() for part in parts}
+    return [
+        (T, replace(part, uvs=part.light_uvs, material=replace(part.material, texture=lit[id(part)])) if id(part) in lit else part)
+        for T, part in placed_parts
+    ]
+
+
+def _lit_picture(parts: list[MeshPart]) -> NDArray[np.uint8]:
+    """Returns the picture of all parts of a light map in its coordinates, (TILE, TILE, 3), sRGB; gaps between charts are filled."""
+    corners = [np.asarray(part.light_uvs, dtype=np.float64)[part.triangles] * TILE - 0.5 for part in parts]
+    face = rasterise_2d(np.concatenate(corners), TILE, TILE)
+    pixels = np.zeros((TILE, TILE, 3), dtype=np.float32)
+    first = 0
+    for part, own in zip(parts, corners, strict=True):
+        y, x = np.nonzero((face >= first) & (face < first + len(own)))
+        triangles = face[y, x] - first
+        weights = barycentric(own[triangles], np.stack([x, y], axis=1).astype(np.float64))
+        if len(triangles):
+            pixels[y, x] = colors_of(part, part.triangles[triangles], weights)
+        first += len(own)
+    return np.asarray(np.rint(255.0 * np.clip(fill_gaps(pixels, face >= 0), 0.0, 1.0)), dtype=np.uint8)
 
 
 class _Atlas:
@@ -112,7 +147,8 @@ class _Atlas:
             return np.tile(middle, (len(part.vertices), 1))
         if part.uvs.min() < -0.01 or part.uvs.max() > 1.01:
             raise SceneError(
-                f"{name}: a texture is repeated across a surface; scan-like meshes are made from scenes whose textures do not repeat"
+                f"{name}: a texture is repeated across a surface; scan-like meshes are made from scenes whose textures do not repeat, "
+                "or that have light maps"
             )
         row, column = self._cell[id(part.material.texture)]
         placed: F64 = (np.clip(part.uvs.astype(np.float64), 0.0, 1.0) + np.array([column, row])) * TILE / (width, height)

@@ -76,10 +76,21 @@ def _sample_part(
 ) -> tuple[F64, F64, F64]:
     """Samples a part; returns points, m, unit normals, and sRGB colours, 0 to 1, each (N, 3)."""
     points, triangle_of_point = _thin_out(*spread_over(corners, _CANDIDATES_PER_SPLAT * count, rng), spacing)
-    base = np.asarray(part.material.base_color[:3]) if color is None else color
-    colors = np.tile(linear_from_srgb(base), (len(points), 1))
-    triangles = part.triangles[triangle_of_point]
     weights = _barycentric(corners[triangle_of_point], points)
+    return points, unit_normals(corners)[triangle_of_point], colors_of(part, part.triangles[triangle_of_point], weights, color)
+
+
+def colors_of(part: MeshPart, triangles: NDArray[np.integer], weights: F64, color: F64 | None = None) -> F64:
+    """Returns the colours, sRGB, 0 to 1, (N, 3), of points on a part in the light of its light map.
+
+    Args:
+        part: the part.
+        triangles: vertex indices of the triangle of each point, (N, 3).
+        weights: barycentric coordinates of the points, (N, 3).
+        color: sRGB colour that replaces the material; None = none.
+    """
+    base = np.asarray(part.material.base_color[:3]) if color is None else color
+    colors = np.tile(linear_from_srgb(base), (len(weights), 1))
     if part.colors is not None and color is None:
         colors *= np.einsum("nk,nkc->nc", weights, linear_from_srgb(part.colors[:, :3][triangles] / 255.0))
     texture = part.material.texture
@@ -91,7 +102,7 @@ def _sample_part(
     if light is not None and part.light_uvs is not None and color is None:
         uv = np.clip(np.einsum("nk,nkc->nc", weights, part.light_uvs[triangles].astype(np.float64)), 0.0, 1.0)
         srgb = tone_map(colors * _sample_texture(radiance_of(light.pixels, part.material.light_intensity), uv)) / 255.0
-    return points, unit_normals(corners)[triangle_of_point], np.asarray(srgb, dtype=np.float64)
+    return np.asarray(srgb, dtype=np.float64)
 
 
 def _thin_out(points: F64, triangle_of_point: NDArray[np.int64], spacing: float) -> tuple[F64, NDArray[np.int64]]:
