@@ -638,8 +638,11 @@ def compile_nodes(venv: Path) -> None:
     """Imports the nodes, which compiles their modules. Otherwise, the first simulation would do so; or each one, if PYTHONDONTWRITEBYTECODE is
     set or another user owns the environment.
     """
-    with step("compiling the modules of the nodes"):
-        run([str(venv / "bin" / "python"), "-c", NODES], venv, venv / "gibson_setup" / "nodes.log")
+    try:
+        with step("compiling the modules of the nodes"):
+            run([str(venv / "bin" / "python"), "-c", NODES], venv, venv / "gibson_setup" / "nodes.log")
+    except SetupError as error:
+        say(f"the nodes cannot be imported; `{venv / 'bin' / 'gibson-sim'} doctor` says what is missing: {error}")
 
 
 def copy_loops(source: Path, target: Path) -> bool:

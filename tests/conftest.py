@@ -71,6 +71,8 @@ def ros_domain() -> Iterator[int]:
             except OSError:
                 continue
             break
+        else:
+            pytest.fail("each of the ROS domains 60 to 101 is in use")
         yield from _environment_of(domain_id)
 
 

@@ -90,6 +90,7 @@ class Drive(Arguments):
 class Goal(Arguments):
     """A navigation goal on the map."""
 
+    required = ("x", "y")
     x: float = _coordinate("Position on the map, x")
     y: float = _coordinate("Position on the map, y")
     yaw: float = _yaw()
@@ -115,6 +116,7 @@ class Time(Arguments):
 class Rate(Arguments):
     """Sets the speed of the simulation."""
 
+    required = ("value",)
     value: float = setting(0.0, "Ratio of simulation time to wall time; 0 = as fast as possible", minimum=0.0, maximum=MAX_RATE)
 
 
@@ -122,7 +124,7 @@ class Rate(Arguments):
 class Spawn(Arguments):
     """Spawns an object of the catalogue on the floor."""
 
-    required = ("uri",)
+    required = ("uri", "x", "y")
     uri: str = setting("", "Object of the catalogue")
     x: float = _coordinate("Position on the map, x")
     y: float = _coordinate("Position on the map, y")
@@ -134,7 +136,7 @@ class Spawn(Arguments):
 class Move(Arguments):
     """Moves an entity to another pose on the floor."""
 
-    required = ("name",)
+    required = ("name", "x", "y")
     name: str = setting("", "Name of the entity")
     x: float = _coordinate("Position on the map, x")
     y: float = _coordinate("Position on the map, y")
@@ -180,7 +182,7 @@ class Fields(Arguments):
 class Open(Arguments):
     """Opens or closes a door or a drawer."""
 
-    required = ("joint",)
+    required = ("joint", "opening")
     joint: str = setting("", "Joint, ``<body>/<joint>``")
     opening: float = setting(0.0, "Opening: 0 = closed, 1 = fully open", minimum=0.0, maximum=1.0)
 
@@ -189,7 +191,7 @@ class Open(Arguments):
 class MoveJoint(Arguments):
     """Moves a joint of a robot to a position."""
 
-    required = ("joint",)
+    required = ("joint", "position")
     robot: str = _robot()
     joint: str = setting("", "Name of the joint")
     position: float = setting(0.0, "Position", unit="rad or m", minimum=-MAX_COORDINATE, maximum=MAX_COORDINATE)

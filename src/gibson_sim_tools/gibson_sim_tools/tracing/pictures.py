@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.errors import SceneError
 from gibson_sim.geometry.colours import srgb8_from_linear, srgb_from_linear
 from gibson_sim.render.draw.environment import load_environment, look_up
 from gibson_sim.scenes.spec import LightSpec
@@ -40,7 +41,12 @@ def fit_exposure(traced: F32, ours: Rgb, curve: Curve) -> F64:
         traced: linear colours, (N, 3).
         ours: our colours at the same places, (N, 3), sRGB.
         curve: the tone curve.
+
+    Raises:
+        SceneError: there is no pixel to compare.
     """
+    if not len(traced):
+        raise SceneError("no picture shows a matte surface that stands still, from which the exposure could be told; use other poses")
     target = ours.astype(np.float64)
     start = exposure_factors([traced]) if curve is tone_map else np.ones(3)
     log_factors = np.log(np.asarray(start, dtype=np.float64))
