@@ -98,7 +98,12 @@ def _with_light(placed_parts: list[tuple[F64, MeshPart]]) -> list[tuple[F64, Mes
     pictures = {key: TextureSource("light", _lit_picture(parts)) for key, parts in groups.items()}
     lit = {id(part): pictures[key] for key, parts in groups.items() for part in parts}
     return [
-        (T, replace(part, uvs=part.light_uvs, material=replace(part.material, texture=lit[id(part)])) if id(part) in lit else part)
+        (
+            T,
+            replace(part, uvs=part.light_uvs, material=replace(part.material, texture=lit[id(part)]))
+            if id(part) in lit
+            else part,
+        )
         for T, part in placed_parts
     ]
 

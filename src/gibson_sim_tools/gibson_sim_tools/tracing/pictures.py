@@ -46,7 +46,9 @@ def fit_exposure(traced: F32, ours: Rgb, curve: Curve) -> F64:
         SceneError: there is no pixel to compare.
     """
     if not len(traced):
-        raise SceneError("no picture shows a matte surface that stands still, from which the exposure could be told; use other poses")
+        raise SceneError(
+            "no picture shows a matte surface that stands still, from which the exposure could be told; use other poses"
+        )
     target = ours.astype(np.float64)
     start = exposure_factors([traced]) if curve is tone_map else np.ones(3)
     log_factors = np.log(np.asarray(start, dtype=np.float64))
