@@ -116,8 +116,9 @@ def _digest(scene: TracedScene) -> str:
         }
         values |= {"uvs": part.uvs, "colors": part.colors, "images": [t.pixels for t in _textures(material)]}
         digest.update(b"%d" % digest_of(values))
-    digest.update(b"%d" % digest_of([scene.placements, asdict(scene.light)]))
-    for path in (scene.light.backdrop, scene.light.environment):
+    # The content of images counts, not their place. The environment lights no generated building.
+    digest.update(b"%d" % digest_of([scene.placements, asdict(replace(scene.light, backdrop="", environment=""))]))
+    for path in (scene.light.backdrop, scene.light.environment if scene.building is None else ""):
         digest.update(Path(path).read_bytes() if path else b"")
     return digest.hexdigest()
 

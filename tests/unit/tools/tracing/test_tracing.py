@@ -141,6 +141,23 @@ def test_digest_changes_with_what_a_picture_shows() -> None:
     assert len({base, *digests}) == 6
 
 
+def test_digest_depends_on_the_content_of_the_backdrop_and_not_on_its_folder(tmp_path: Path) -> None:
+    def digest(folder: str, level: int) -> str:
+        path = tmp_path / folder / "backdrop.png"
+        path.parent.mkdir()
+        cv2.imwrite(str(path), np.full((4, 8, 3), level, dtype=np.uint8))
+        return traced_scene(_scene(_box(), light=replace(LIGHT, backdrop=str(path)))).digest
+
+    assert digest("a", 10) == digest("b", 10) != digest("c", 20)
+
+
+def test_the_environment_of_a_bake_does_not_change_its_traced_pictures(linden_flat: SceneSpec) -> None:
+    scene = drawn_scene(replace(linden_flat, bodies=()), ())
+    assert scene.light.environment
+    without = replace(scene, light=replace(scene.light, environment=""))
+    assert traced_scene(without).digest == traced_scene(scene).digest
+
+
 def test_a_visual_that_cannot_be_read_is_left_out_with_a_warning(tmp_path: Path) -> None:
     missing = VisualSpec("lost", "", Shape("mesh", mesh=str(tmp_path / "lost.glb")))
     scene = traced_scene(_scene(_box(), missing))
