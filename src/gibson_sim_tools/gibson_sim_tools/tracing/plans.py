@@ -27,9 +27,9 @@ def plan_of_scene(scene: DrawnScene) -> Building | None:
     """Returns the plan of a scene; None for one that ``gibson-sim scene generate`` did not make.
 
     Raises:
-        SceneError: the command in the first line of its ``scene.yaml`` is incomplete.
+        SceneError: the command in the first line of its ``scene.yaml`` is incomplete or no command.
     """
-    folders = dict.fromkeys(Path(v.shape.mesh).parents[1] for v in scene.visuals if v.shape.mesh and not v.link)
+    folders = dict.fromkeys(Path(v.shape.mesh).parent.parent for v in scene.visuals if v.shape.mesh and not v.link)
     path = next((folder / DESCRIPTION for folder in folders if is_file(folder / DESCRIPTION)), None)
     if path is None:
         return None
@@ -37,7 +37,10 @@ def plan_of_scene(scene: DrawnScene) -> Building | None:
     command = next((line.removeprefix(_COMMAND) for line in lines[:3] if line.startswith(_COMMAND)), None)
     if command is None:
         return None
-    words = shlex.split(command)
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise SceneError(f"{path}: its first line is no command: {error}; generate the scene again") from error
     values = {name.removeprefix("--"): value for name, value in itertools.pairwise(words) if name.startswith("--")}
     kind = next((kind for kind in KINDS if kind == values.get("kind")), None)
     if kind is None or not values.get("seed", "").isdigit():

@@ -90,12 +90,15 @@ def test_a_scene_of_another_plan_is_refused_with_the_object_that_differs(linden_
         check_plan(moved, scene)
 
 
-def test_a_first_line_without_a_seed_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "error"), [("--kind flat", "names no --kind and --seed"), ("--name 'my flat", "is no command: No closing quotation")]
+)
+def test_a_first_line_that_gives_no_plan_is_refused(options: str, error: str, tmp_path: Path) -> None:
     assets = tmp_path / "assets"
     assets.mkdir()
-    (tmp_path / "scene.yaml").write_text("# Made by: gibson-sim scene generate --kind flat\nname: x\n")
+    (tmp_path / "scene.yaml").write_text(f"# Made by: gibson-sim scene generate {options}\nname: x\n")
     visual = VisualSpec("x", "", Shape("mesh", mesh=str(assets / "x.glb")))
-    with pytest.raises(SceneError, match=r"names no --kind and --seed"):
+    with pytest.raises(SceneError, match=error):
         plan_of_scene(_scene(visual))
 
 
