@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.cli.main import main
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
 from gibson_sim.scenes.load import load_scene
@@ -176,6 +176,13 @@ def test_doors_are_moved_within_their_range(home: SceneSpec, arrangements: list[
 def test_poses_of_bodies_are_those_of_all_their_links(home: SceneSpec, arrangements: list[Arrangement]) -> None:
     poses = body_poses(arrangements[0].bodies)
     assert set(poses) == {f"{body.name}/{link}" for body in home.bodies for link in body.links}
+
+
+def test_a_scene_without_room_for_the_camera_is_refused(home: SceneSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = FloorMap(0.05, (0.0, 0.0), np.ones((20, 20), dtype=bool), np.ones((20, 20), dtype=bool))
+    monkeypatch.setattr("gibson_sim_bench.realism.poses._floor_of", lambda scene, z: full)
+    with pytest.raises(SceneError, match=r"'linden_flat': no floor has a place for the camera, 0.3 m from all"):
+        sample_arrangements(home, 1, 0, robot_radius=0.2, width=64, samples=1)
 
 
 def test_sight_ends_at_a_wall() -> None:

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.description.body import BodySpec
+from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
 from gibson_sim.maps.bodies import body_triangles, link_transforms
 from gibson_sim.maps.floor_map import FloorMap, scene_floor_map, with_floor_at
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, Pose, Vec3
 
@@ -69,8 +71,15 @@ def sample_arrangements(
         robot_radius: radius of the robot, m.
         width: width of the pictures, pixels; their height is three quarters of it.
         samples: colour samples per pixel of the camera, 1 or 4.
+
+    Raises:
+        SceneError: no floor has room for the camera.
     """
-    floors = [_floor_of(scene, z) for z in scene.floors]
+    floors = [floor for floor in (_floor_of(scene, z) for z in scene.floors) if _free_cells(floor).any()]
+    if not floors:
+        raise SceneError(
+            f"scene {quoted(scene.name)}: no floor has a place for the camera, {_CLEARANCE_M} m from all that is below {_COLUMN_M} m"
+        )
     return [
         _sample(scene, floors, number, np.random.default_rng((seed, number)), robot_radius, width, samples)
         for number in range(count)
@@ -80,6 +89,11 @@ def sample_arrangements(
 def _floor_of(scene: SceneSpec, z: float) -> FloorMap:
     there = with_floor_at(scene, z)
     return scene_floor_map(there, robot_height=_COLUMN_M).furnished(*body_triangles(there), _COLUMN_M)
+
+
+def _free_cells(floor: FloorMap) -> NDArray[np.bool_]:
+    """Returns the mask, (H, W), of the cells in which the camera may be."""
+    return np.asarray(floor.inflate(_CLEARANCE_M) & floor.largest_free_region(_CLEARANCE_M))
 
 
 def _sample(
@@ -92,7 +106,7 @@ def _sample(
     samples: int,
 ) -> Arrangement:
     floor = floors[int(rng.integers(len(floors)))]
-    cells = np.argwhere(floor.inflate(_CLEARANCE_M) & floor.largest_free_region(_CLEARANCE_M))
+    cells = np.argwhere(_free_cells(floor))
     for _ in range(_TRIES):
         xy = floor.centers(cells[int(rng.integers(len(cells)))][None])[0]
         yaw = float(rng.uniform(-math.pi, math.pi))
