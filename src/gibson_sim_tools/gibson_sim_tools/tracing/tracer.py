@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -153,7 +154,7 @@ def _read(path: Path) -> TracedPicture:
         rgb, spread, alpha = (arrays[name].astype(np.float32) for name in ("rgb", "spread", "alpha"))
         depth = np.where(arrays["depth"] < 1e9, arrays["depth"], np.float32(np.inf)).astype(np.float32)
         return TracedPicture(rgb, spread, alpha, depth, arrays["moving"] > 0, arrays["material"])
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise SceneError(f"{path}: is no traced picture: {error}; delete it, and it is traced again") from error
 
 

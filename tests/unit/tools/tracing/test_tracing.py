@@ -222,12 +222,13 @@ def test_cached_picture_needs_no_blender(tmp_path: Path) -> None:
         assert not tracer.is_cached(CAMERA, STILL, state)
 
 
-def test_a_damaged_picture_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("data", [b"", b"half a file", b"PK\x03\x04 half an archive"])
+def test_a_damaged_picture_is_named(data: bytes, tmp_path: Path) -> None:
     scene = traced_scene(_scene(_box()))
     with CyclesTracer(scene, "no-such-python", 8, cache=tmp_path) as tracer:
         path = tmp_path / picture_key(scene.digest, tracer.request(CAMERA, STILL, SceneState.still(), 0))
         path.parent.mkdir(exist_ok=True)
-        path.write_bytes(b"half a file")
+        path.write_bytes(data)
         with pytest.raises(SceneError, match="is no traced picture"):
             tracer.picture(CAMERA, STILL, SceneState.still())
 
