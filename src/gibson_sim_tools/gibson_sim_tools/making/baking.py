@@ -78,7 +78,7 @@ def make_scene(
 
 
 def work_folder(building: Building, quality: Quality) -> Path:
-    """Returns the cache folder for the unfinished atlases of a plan."""
+    """Returns the cache folder of a plan: its unfinished light maps, or the note that its scene is finished."""
     key = hashlib.sha256(repr((building, quality, gibson_sim.__version__)).encode()).hexdigest()[:16]
     return cache_folder("making") / f"{building.name}-{key}"
 

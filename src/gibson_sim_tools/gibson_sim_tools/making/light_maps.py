@@ -15,6 +15,7 @@ from scipy.sparse.linalg import cg
 from gibson_sim.formats.light_maps import WHITE, encoded_light_map
 from gibson_sim.geometry.triangle_meshes import unit_normals
 from gibson_sim.writing import write_file
+from gibson_sim_tools.making.blender.charts import chart_map
 from gibson_sim_tools.making.pixels import F32, fill_gaps
 
 F64 = NDArray[np.float64]
@@ -91,7 +92,7 @@ def stitch_seams(lights: Sequence[F32], corners: F64, atlas: I64, uv: F64, chart
     height, width = lights[0].shape[:2]
     samples = _samples(first, second, width, height, np.concatenate([light[..., 3].ravel() >= 0.0 for light in lights]))
     used = np.unique(samples.col)
-    chart = np.concatenate([_chart_map(charts, k, height, width).ravel() for k in range(len(lights))])
+    chart = np.concatenate([chart_map(charts, k, width).ravel() for k in range(len(lights))])
     # Only charts with seams change; rounding puts a little weight on their borders.
     changes = np.isin(chart, np.unique(chart[used])) & (chart >= 0)
     changes[used] = True
@@ -121,14 +122,6 @@ def stitch_seams(lights: Sequence[F32], corners: F64, atlas: I64, uv: F64, chart
     for light, values in zip(lights, flat.reshape(len(lights), height, width, 3), strict=True):
         light[..., :3] = values
     return len(first)
-
-
-def _chart_map(charts: I64, atlas: int, height: int, width: int) -> NDArray[np.int64]:
-    result = np.full((height, width), -1)
-    for k in np.flatnonzero(charts[:, 0] == atlas).tolist():
-        x, y, columns, rows = charts[k, 1:].tolist()
-        result[y : y + rows, x : x + columns] = k
-    return result
 
 
 def _seams(corners: F64, atlas: I64, uv: F64) -> tuple[F64, F64]:

@@ -149,7 +149,7 @@ def picture_key(scene_digest: str, request: dict[str, Any]) -> str:
 
 def _read(path: Path) -> TracedPicture:
     try:
-        with np.load(path) as file:
+        with path.open("rb") as stream, np.load(stream) as file:
             arrays = {name: file[name] for name in file.files}
         rgb, spread, alpha = (arrays[name].astype(np.float32) for name in ("rgb", "spread", "alpha"))
         depth = np.where(arrays["depth"] < 1e9, arrays["depth"], np.float32(np.inf)).astype(np.float32)

@@ -91,7 +91,8 @@ def test_a_scene_of_another_plan_is_refused_with_the_object_that_differs(linden_
 
 
 @pytest.mark.parametrize(
-    ("options", "error"), [("--kind flat", "names no --kind and --seed"), ("--name 'my flat", "is no command: No closing quotation")]
+    ("options", "error"),
+    [("--kind flat", "names no --kind and --seed"), ("--name 'my flat", "is no command: No closing quotation")],
 )
 def test_a_first_line_that_gives_no_plan_is_refused(options: str, error: str, tmp_path: Path) -> None:
     assets = tmp_path / "assets"

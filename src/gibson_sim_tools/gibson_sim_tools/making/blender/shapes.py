@@ -1,4 +1,4 @@
-"""Builds objects from triangles with a material, a tint, pattern coordinates and an atlas chart. NumPy only.
+"""Builds objects from triangles with a material, a tint, pattern coordinates and a chart in a light map. NumPy only.
 
 Metres, z up, triangles counter-clockwise seen from outside.
 """
